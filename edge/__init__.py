@@ -6,6 +6,7 @@ A frame goes through these stages in this order, and none calls back; each passe
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
     descriptor/     -> (R, D) float32   R regions, raw and normalized (NSD); fc6: D = 4096
     keypoints/      -> RelativePose     of the camera to a place, by points of its picture
+    structure/      -> StructureMatch   where points of two drives with opposite views fit each other
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
     sequence/       -> PlaceMatch       the best match in the last L cost rows, accepted or off the map
     recognition/    joins the stages up to here: one frame in, one match out; the room to read first

@@ -178,12 +178,16 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[sequence]: the search of eq. 2 and 3. Config.sequence_frames is the length where the file has none."""
+    """[sequence]: the search of eq. 2 and 3. Config.sequence_frames is the length where the file has none.
+
+    structure: whether a place that is believed in opposite views is made more exact by keypoints, on maps with those.
+    """
 
     length: Annotated[int, Meta(ge=2, le=500)] | UnsetType = UNSET
     slope_limit_rad: Annotated[float, Meta(ge=0, le=0.6)] = 0.2
     directions: Literal["both", "forward", "reverse"] = "both"
     max_gap_s: Positive = 30.0
+    structure: bool = False
 
 
 class AcceptanceConfig(Struct, frozen=True, forbid_unknown_fields=True):

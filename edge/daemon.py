@@ -108,9 +108,9 @@ class Daemon:
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
         reckoned = self._drive.dead_reckoning_position(displacement)
-        match = self._recognize(
-            frame, MotionPrior(distance_m, missed, self._search_area(), self._turn_around.course_rad, reckoned)
-        )
+        moved_m = None if displacement is None else (displacement.east_m, displacement.north_m)
+        travel = MotionPrior(distance_m, missed, self._search_area(), self._turn_around.course_rad, reckoned, moved_m)
+        match = self._recognize(frame, travel)
         self._estimate(frame.stamp_ns, match, displacement, missed)
         self._publish_frame(frame, match, distance_m, missed)
         self._grow_maps()

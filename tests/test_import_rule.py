@@ -20,6 +20,7 @@ STAGES = (
     "camera",
     "descriptor",
     "keypoints",
+    "structure",
     "reference_map",
     "sequence",
     "localization",

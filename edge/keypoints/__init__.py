@@ -3,8 +3,8 @@
     image (H, W, 3) --network--> Keypoints
     a drive's Keypoints --drive_points--> MapPoints of each keyframe --pose, with a frame--> RelativePose
 
-A camera that faces the same way as the map's finds the place in one picture. Where the views are opposite, nothing
-here is loaded.
+A camera that faces the same way as the map's finds the place in one picture. Where the views are opposite, only
+`[sequence] structure` loads this, which compares where points are, and not what they look like.
 """
 
 from __future__ import annotations

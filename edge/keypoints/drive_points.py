@@ -47,7 +47,7 @@ def points_of_drive(
     matched = lru_cache(WINDOW * MOST_ROWS)(
         lambda row, other: mutual_matches(*(kept(r).descriptors for r in (row, other)))
     )
-    east_m, north_m = _reckoned(route_m, heading)
+    east_m, north_m = reckoned(route_m, heading)
     heading = heading + np.pi * faces_back
     for row in rows:
         near = _near(route_m, heading, row)
@@ -79,7 +79,7 @@ def _near(route_m: NDArray[np.float64], heading: NDArray[np.float64], row: int) 
     return chosen
 
 
-def _reckoned(
+def reckoned(
     route_m: NDArray[np.float64], heading: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Meters east and north of the first row, by steps in the middle of two headings; over what is not known: none."""
@@ -97,7 +97,7 @@ def cameras_beside(
 
     route_m, heading: as `points_of_drive`. facing: 1 for a front camera, -1 for a rear one.
     """
-    return _beside(rows[0], list(rows), *_reckoned(route_m, heading), heading + np.pi * (facing < 0))
+    return _beside(rows[0], list(rows), *reckoned(route_m, heading), heading + np.pi * (facing < 0))
 
 
 def _beside(

@@ -1,4 +1,4 @@
-"""Keypoint poses as measurements of their own, for autopilots that fuse them, and GPS that contradicts them. Pure."""
+"""Poses and structure as measurements of their own, for autopilots that fuse them; GPS that poses contradict. Pure."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from edge.localization.events import ImageProcessed
 from edge.localization.filter import CORRELATION_M, left_of
 from edge.localization.pose_measurement import PoseMeasurement, Vector
 from edge.localization.sequence_match import SequenceMatch
+from edge.localization.state import DriveErrors, Matrix
 
 FIRST = 2
 """Keypoint poses that must agree before the first one counts: a geometry may have two solutions."""
@@ -93,19 +94,34 @@ class FusedPoses:
         """One passed. fix: the filter's position then; of the newest pose nothing of the filter's past is in it."""
         self._agreeing = self._agreeing + 1 if at.stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
         self._posed_ns, self.newest = at.stamp_ns, FixCandidate()
-        if fix is None or self._agreeing < FIRST or self.are_on_probation(at.stamp_ns):
+        if self._agreeing >= FIRST:
+            self.hand_on(pose.position_m, pose.covariance, pose.heading_rad, measured.errors, at, fix, origin)
+
+    def hand_on(
+        self,
+        position_m: Vector,
+        covariance: Matrix,
+        heading_rad: float,
+        errors: DriveErrors,
+        at: ImageProcessed,
+        fix: PlaceFix | None,
+        origin: Origin,
+    ) -> None:
+        """A measurement of its own: where the vehicle is (2,), and its covariance (2, 2) without the map's error."""
+        self.newest = FixCandidate()
+        if fix is None or self.are_on_probation(at.stamp_ns):
             return
-        lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
-        axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])
+        lat_deg, lon_deg = moved(*origin, float(position_m[0]), float(position_m[1]))
+        axes = np.array([[math.sin(heading_rad), math.cos(heading_rad)]])
         axes = np.concatenate([axes, left_of(axes)])
-        of_map = measured.errors.map_m**2 * np.eye(2) + measured.errors.whole
-        along_m, cross_m = np.sqrt((axes @ (pose.covariance + of_map) @ axes.T).diagonal())
+        of_map = errors.map_m**2 * np.eye(2) + errors.whole
+        along_m, cross_m = np.sqrt((axes @ (covariance + of_map) @ axes.T).diagonal())
         place = replace(
             fix,
             lat_deg=lat_deg,
             lon_deg=lon_deg,
-            heading_deg=math.degrees(pose.heading_rad) % 360,
+            heading_deg=math.degrees(heading_rad) % 360,
             sigma_along_m=float(along_m),
             sigma_cross_track_m=float(cross_m),
         )
-        self.newest = FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
+        self.newest = FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])))

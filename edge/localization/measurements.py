@@ -12,7 +12,7 @@ import numpy as np
 
 from edge.localization.filter import CORRELATION_M, GATE, Filter, Used, left_of
 from edge.localization.pose_measurement import SHARED_M, STANDS_M, PoseMeasurement
-from edge.localization.sequence_match import SequenceMatch
+from edge.localization.sequence_match import LocalMidpoint, SequenceMatch, StructureMeasurement
 from edge.localization.state import COMPASS, GPS, HEADING, POSITION, VELOCITY, Matrix, Slot, Vector
 
 GPS_NOISE_M = 0.8
@@ -23,6 +23,8 @@ SECOND_M = 2.5
 """How far off keypoint poses are that are a second solution of their geometry."""
 SECOND, PLANE, TURN = np.diag([SECOND_M, SECOND_M, 0.0]) ** 2, np.eye(3, 2), np.eye(3)[:, 2:]
 """Covariance of the latter, and Jacobians of a pose (3,) by a position (2,) and by what turns it."""
+ALIKE = 1.7
+"""Times the variance of structure, whose errors 20 m apart correlate by 0.25."""
 WITHIN_M = 300.0
 """Within which a false place and a false fix may be anywhere: as far as hypotheses follow them."""
 
@@ -86,12 +88,30 @@ def by_sequence(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: 
     return is_used
 
 
+def by_structure(state: Filter, slot: Slot, seen: StructureMeasurement) -> Used:
+    """Structure: the vehicle's position in the middle of its window, along-track and cross-track.
+
+    No evidence for a hypothesis: it was searched for where the place is believed.
+    """
+    rows, off_m = _midpoint_innovation(state, slot, seen.midpoint)
+    return state.correct(rows, off_m, ALIKE * np.diag(np.square(seen.sigma_m)))
+
+
 def sequence_innovation(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
     """Rows, innovation and noise of a sequence match, along-track and cross-track."""
-    along, since_m, doubtful_m = line.midpoint.along, line.midpoint.since_m[:2], line.midpoint.since_m[2:]
-    axes, of_match = np.array([along, left_of(along)]), np.array([[1.0], [0.0]])
-    rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes), (slot.stays, of_match))
-    rows[..., slot.changes] = line.sigma_factor * of_match
-    off_m = axes @ line.midpoint.place_m - state.expected(rows) + state.truly(since_m, doubtful_m) @ axes.T
-    rows[..., VELOCITY] = -axes @ state.slopes(since_m, doubtful_m)
+    rows, off_m = _midpoint_innovation(state, slot, line.midpoint)
+    of_match = np.array([[1.0], [0.0]])
+    rows[..., slot.stays], rows[..., slot.changes] = of_match, line.sigma_factor * of_match
+    of_both = state.mean[..., slot.stays] + line.sigma_factor * state.mean[..., slot.changes]
+    off_m = off_m - of_both * of_match[:, 0]
     return rows, off_m, np.diag([(line.sigma_factor * line.sigma_m) ** 2, line.errors.lane_m**2])
+
+
+def _midpoint_innovation(state: Filter, slot: Slot, midpoint: LocalMidpoint) -> tuple[Matrix, Vector]:
+    """Rows and innovation of where the vehicle was, along-track and cross-track."""
+    along, since_m, doubtful_m = midpoint.along, midpoint.since_m[:2], midpoint.since_m[2:]
+    axes = np.array([along, left_of(along)])
+    rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))
+    off_m = axes @ midpoint.place_m - state.expected(rows) + state.truly(since_m, doubtful_m) @ axes.T
+    rows[..., VELOCITY] = -axes @ state.slopes(since_m, doubtful_m)
+    return rows, off_m

@@ -154,7 +154,7 @@ class PositionEstimator:
 
     @property
     def pose_ns(self) -> int | None:
-        """The exposure of the newest keypoint pose that may be a measurement, None without one."""
+        """The exposure of the newest keypoint pose, or structure, that may be a measurement; None without one."""
         place = None if self._tracker is None else self._tracker.pose().place
         return None if place is None else place.stamp_ns
 

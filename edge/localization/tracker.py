@@ -26,8 +26,19 @@ from edge.localization.filter import CORRELATION_M, GATE, Filter, FilterStep, le
 from edge.localization.fused_poses import FIRST, FixCandidate, FusedPoses
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name, Row
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
-from edge.localization.sequence_match import Georeferencer, SequenceMatch
-from edge.localization.state import COMPASS, GPS_M, GPS_SHARE, HEADING, POSITION, SCALE, DriveErrors, Slot, Vector
+from edge.localization.sequence_match import Georeferencer, SequenceMatch, StructureAgreement
+from edge.localization.state import (
+    COMPASS,
+    GPS_M,
+    GPS_SHARE,
+    HEADING,
+    POSITION,
+    SCALE,
+    VELOCITY,
+    DriveErrors,
+    Slot,
+    Vector,
+)
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -116,6 +127,7 @@ class Tracker:
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self._poses = FusedPoses()
+        self._structure = StructureAgreement()
         self.cross_track: tuple[float, float] | None = None
         """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
@@ -138,6 +150,7 @@ class Tracker:
             return False
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
+            self._structure.clear()
             self._lose_position()
         has_stood = before is None or frame.stamp_ns - before.stamp_ns > STOOD_NS
         if has_stood or frame.missed > self._georeferencer.length // 2:
@@ -164,6 +177,7 @@ class Tracker:
             measured = self._measured(match, with_pose, timestamp_sigma_m)
         if measured is not None:
             self._use(measured, own, frame.stamp_ns, is_evidence=is_evidence)
+        self._use_structure(match, timestamp_sigma_m, frame.stamp_ns)
         has_gps = gps_m is not None and self.follows_gps
         self.bank.judge(frame.stamp_ns / 1e9, has_gps=has_gps)
         if not has_gps and self._corrects_itself(frame.stamp_ns) and measured is not None:
@@ -317,6 +331,29 @@ class Tracker:
         if measured.pose is not None and at is not None and origin is not None:
             self._poses.add(measured, measured.pose, at, self._exposure, origin)
 
+    def _use_structure(self, match: PlaceMatch | None, timestamp_sigma_m: float, stamp_ns: int) -> None:
+        """Correct by structure that agrees with the one before, and hand on the third one like a keypoint pose."""
+        track = self._track
+        if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or track is None:
+            return
+        seen, at = self._georeferencer.structure_measurement(match, timestamp_sigma_m), self._at
+        if seen is None or at is None or at.motion is None:
+            return
+        agreeing, slot = self._structure.count(seen, _vector(at.motion), self.bank.right.truly), None
+        if agreeing >= FIRST:
+            slot = self.bank.all.slot(seen.drive, seen.errors)
+        if slot is None or not measurements.by_structure(self.bank.all, slot, seen)[0]:
+            return
+        self._exposure = self._fix(track, self.bank.right, stamp_ns, track.since_m, self._yaw_rad)
+        origin = self._georeferencer.origin
+        if origin is not None and self._structure.is_independent():
+            state, midpoint = self.bank.right, seen.midpoint
+            since_m = midpoint.since_m[:2], midpoint.since_m[2:]
+            slopes = state.slopes(*since_m)
+            covariance = seen.covariance + slopes @ state.covariance[VELOCITY, VELOCITY] @ slopes.T
+            position_m, heading_rad = midpoint.place_m + state.truly(*since_m), float(np.arctan2(*midpoint.along))
+            self._poses.hand_on(position_m, covariance, heading_rad, seen.errors, at, self._exposure, origin)
+
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
         since_m = measured.midpoint.since_m
@@ -469,6 +506,7 @@ class Tracker:
         if origin is None or float(np.hypot(*shift_m)) < FAR_M:
             return
         self._georeferencer.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
+        self._structure.clear()
         self.bank.all.mean[..., POSITION] -= shift_m
 
     def _fix(
@@ -508,7 +546,7 @@ class Tracker:
             confidence=match.confidence,
             velocity_error=math.hypot(state.value(HEADING), state.value(SCALE)),
             disputed=self._is_disputed,
-            by_lane=not has_pose,
+            by_lane=not has_pose and self._poses.newest.place is None,
             points=newest.pose.inliers if newest.pose and stamp_ns - track.stamp_ns < POSE_HOLDS_NS else UNSET,
             map=UNSET if match.map is None else match.map,
         )

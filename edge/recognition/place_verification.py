@@ -86,7 +86,7 @@ class PlaceVerification:
 
     @cached_property
     def network(self) -> KeypointNetwork:
-        """Opened when it is first needed: a vehicle that meets its maps in opposite views never does."""
+        """Opened when it is first needed: by a vehicle in opposite views only for `[sequence] structure`."""
         return KeypointNetwork()
 
     def direction(self, place: int) -> Direction:

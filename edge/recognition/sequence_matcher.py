@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from edge.keypoints.intrinsics import CameraDifference
     from edge.keypoints.network import KeypointNetwork
     from edge.recognition.keyframe_matcher import KeyframeMatcher
+    from edge.recognition.structure_matcher import StructureMatcher
 
 PriorOf: TypeAlias = Callable[[int, float], float]
 """The odds of being at a point along a drive."""
@@ -75,6 +76,15 @@ class SequenceMatcher:
         self._unmeasured: int | None = 0  # frames of this sequence, as long as none had a known distance
         self._begin_consensus()
         self._keyframes = self._open_keyframes(map_set)
+        self._structure = self._open_structure(map_set)
+
+    def _open_structure(self, map_set: MapSet) -> StructureMatcher | None:
+        if not self._config.sequence.structure or self._keyframes is None:
+            return None
+        from edge.recognition.structure_matcher import StructureMatcher
+
+        keyframes = self._keyframes
+        return StructureMatcher(map_set, self._config, lambda: keyframes.verification.network)
 
     def _open_keyframes(self, map_set: MapSet) -> KeyframeMatcher | None:
         """None where no map has keypoints, which needs none of their code."""
@@ -93,6 +103,9 @@ class SequenceMatcher:
             self._keyframes.grow(map_set, self._drives)
         else:  # the map of this drive has its first places
             self._keyframes = self._open_keyframes(map_set)
+        self._structure = self._structure or self._open_structure(map_set)
+        if self._structure is not None:
+            self._structure.use_maps(map_set)
         if self._drives.is_metric != was_metric:  # lengths have another unit
             self._begin_consensus()
 
@@ -173,6 +186,10 @@ class SequenceMatcher:
         believed = self._believed(match, belief, prior)
         self._follow(believed)
         self._stopwatch("belief")
+        if self._structure is not None and image is not None:
+            structure = self._structure.push(image, travel.moved_m, believed)
+            self._stopwatch("structure")
+            believed = believed and replace(believed, structure=structure)
         return believed
 
     def _belief_of_halves(
@@ -330,6 +347,8 @@ class SequenceMatcher:
         self.search.clear()
         if self._keyframes is not None:
             self._keyframes.reset()
+        if self._structure is not None:
+            self._structure.reset()
         self._consensus.reset()
         self._of_halves.reset()
         self._unmeasured = 0

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import apart_m
+from edge.structure import StructureMatch
 
 Direction = Literal["forward", "reverse"]
 Order = Literal["same", "swapped"]
@@ -89,7 +90,8 @@ class PlaceMatch:
     confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
     means off the map, or one of several that look alike. by_votes: the answer without `MotionPrior.dead_reckoning`,
     None where it is this one; whoever judges dead reckoning by places goes by `alone`. seen: the keyframe match of the
-    frame with the place that is believed; None without one, or where the frame was not verified. has_line: False where
+    frame with the place that is believed; None without one, or where the frame was not verified. structure: in opposite
+    views, what stands along the last meters, see `StructureMatch`; None for most frames. has_line: False where
     the place is believed by keyframe matches alone, as of a vehicle that stands; it then is that of `seen`, and slope,
     distance and the like say nothing. event: accepted, and not held off.
     """
@@ -108,6 +110,7 @@ class PlaceMatch:
     step: float = 1.0
     passed: tuple[float, ...] = ()
     seen: KeyframeMatch | None = None
+    structure: StructureMatch | None = None
     has_line: bool = True
     map: str | None = None
     event: bool = False
@@ -149,7 +152,8 @@ class MotionPrior:
     distance_m: the odometer, None where it is not known. missed: places that were passed since the last frame without
     one. search_region: where the vehicle may be; only maps too large to be searched whole make use of it. course_rad:
     that it moves on, clockwise from north, None where not known. Of places whose road leads another way, no line is
-    searched. dead_reckoning: None where GPS never had it, or is doubted; places near it are more probable.
+    searched. dead_reckoning: None where GPS never had it, or is doubted; places near it are more probable. moved_m:
+    east and north by the odometer, from any origin.
     """
 
     distance_m: float | None = None
@@ -157,6 +161,7 @@ class MotionPrior:
     search_region: SearchRegion | None = None
     course_rad: float | None = None
     dead_reckoning: DeadReckoningPosition | None = None
+    moved_m: tuple[float, float] | None = None
 
 
 NOTHING_KNOWN = MotionPrior()

@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 
 from sim.research.evaluation import belief, cameras, capture, keyframes, poses, reliability
+from sim.research.evaluation import structure as shape
 from sim.research.trial.table import put_between
 
 
@@ -36,6 +37,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "draws": {"type": int, "default": 1, "help": "of each drive, with other errors or another seed (default 1)"},
     "networks": {"nargs": "+", "default": ["grid"], "help": "names, files or folders of networks (default grid)"},
     "feeds": {"type": Path, "help": "folder with the recordings of the plan real_front_rear"},
+    "map": {"type": Path, "required": True, "help": "with keypoints"},
+    "feed": {
+        "type": Path,
+        "required": True,
+        "help": "with positions, by a camera that faced the other way",
+    },
     "made": {"type": Path, "required": True, "help": "file with the table"},
     "page": {"type": Path, "help": "write the table between its marks on this page"},
 }
@@ -49,6 +56,8 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "keyframes": (keyframes.on_map, (*ROADS, "draws")),
     "streets": (keyframes.on_streets, ROADS),
     "off-map": (keyframes.off_map, ("seeds", "cache")),
+    "structure": (shape.rows, (*ROADS, "draws")),
+    "structure-of": (shape.of_recording, ("map", "feed")),
     "benchmark": (_of_file, ("made", "page")),
 }
 
