@@ -20,8 +20,8 @@ ROOMS = {
     "edge/health": 250,
     "edge/journal": 400,
     "edge/keypoints": 800,
-    "edge/localization": 2750,
-    "edge/recognition": 900,
+    "edge/localization": 2850,
+    "edge/recognition": 1100,
     "edge/reference_map": 1500,
     "edge/sequence": 1350,
     "edge/structure": 150,
@@ -50,12 +50,12 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 650,
-    "sim/research": 3650,
+    "sim/research": 3800,
     "sim/shadow": 550,
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_450,
+    "tests": 36_600,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 
