@@ -46,13 +46,11 @@ def silent(process: Any, seconds: float) -> None:
     assert process.word(seconds) is None
 
 
-def ended_by_the_watchdog(process: Any, fed_s: float, waits_s: float) -> None:
-    """What systemd does once nothing has come for WatchdogSec: nothing does come, and the process can be ended."""
+def not_fed(process: Any, fed_s: float, waits_s: float) -> None:
+    """Nothing comes, for as long as systemd waits."""
     end_s = max(time.monotonic(), fed_s + SILENCE_S) + waits_s
     while time.monotonic() < end_s:
         assert process.word(0.2) != "WATCHDOG=1"
-    process.popen.send_signal(signal.SIGABRT)
-    assert process.popen.wait(PATIENCE_S) == -signal.SIGABRT
 
 
 TO_THE_END = pytest.mark.parametrize("waits_s", [0.5, pytest.param(WATCHDOG_S, marks=pytest.mark.soak)])
@@ -82,15 +80,8 @@ def test_a_camera_that_hangs_in_its_driver(
     allowed_s = RecordedCamera(read_feed(street / "feed")).read_timeout_s + GRACE_S
     assert "the camera hangs (reading)" in process.told()
     figures(f"fed for {fed_s - began_s:.1f} s, of which a read may take {allowed_s:.1f} s and 20 pictures 0.8 s")
-    ended_by_the_watchdog(process, fed_s, waits_s)
-
-
-def test_a_camera_that_hangs_can_be_told_to_stop(
-    hanging: dict[str, str], write_config: Callable[..., Path], start: Callable[..., Any]
-) -> None:
-    process = start(write_config(), environment=hanging)
-    process.wait_for_word("STATUS=degraded: not recognized: camera: it hangs (reading)")
-    assert process.end()[0] == 0
+    not_fed(process, fed_s, waits_s)
+    assert process.end()[0] == 0, "it can be told to stop"
 
 
 def test_a_disk_that_hangs_under_the_journal_stops_nothing(
@@ -130,7 +121,9 @@ def test_a_disk_that_hangs_stops_the_signing(
         )
     )
     process.wait_for_word("WATCHDOG=1")
-    ended_by_the_watchdog(process, silent_since(process, PATIENCE_S), waits_s)
+    not_fed(process, silent_since(process, PATIENCE_S), waits_s)
+    process.popen.send_signal(signal.SIGABRT)  # as systemd ends it
+    assert process.popen.wait(PATIENCE_S) == -signal.SIGABRT
 
 
 class Tracer:
@@ -166,10 +159,14 @@ def test_the_loop_stands_still_wherever_it_is(
     seed: int,
     figures: Callable[[str], None],
 ) -> None:
-    """Its thread alone is stopped, in whichever stage; the camera's, the page's and the network's threads go on."""
+    """The whole process is stopped, and then its thread alone, in whichever stage: other threads go on."""
     rng, calls = random.Random(seed), list[str]()
     process = start(write_config(camera={"device": str(calm_feed)}))
     process.wait_until_on_the_map()
+    process.popen.send_signal(signal.SIGSTOP)
+    os.waitpid(process.popen.pid, os.WUNTRACED)
+    silent(process, 0.5)
+    process.popen.send_signal(signal.SIGCONT)
     for _ in range(times):
         process.wait_for_word("WATCHDOG=1")
         time.sleep(rng.uniform(0.0, 0.1))
@@ -189,36 +186,18 @@ def test_one_place_feeds_the_watchdog() -> None:
     assert [name for name, text in texts.items() if re.search(r"monitor\.feed_watchdog\(", text)] == ["daemon.py"]
 
 
-def test_a_process_that_is_stopped(write_config: Callable[..., Path], start: Callable[..., Any]) -> None:
-    process = start(write_config())
-    process.wait_for_word("WATCHDOG=1")
-    process.popen.send_signal(signal.SIGSTOP)
-    os.waitpid(process.popen.pid, os.WUNTRACED)
-    silent(process, 0.5)
-    process.popen.send_signal(signal.SIGCONT)
-    process.wait_for_word("WATCHDOG=1")
-
-
-def test_a_camera_that_is_not_there_is_no_hang(
-    write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
-) -> None:
-    process = start(write_config(camera={"kind": "v4l2", "device": str(tmp_path / "no-camera")}))
-    process.wait_for_word("STATUS=degraded: not recognized: camera: ")
-    process.wait_for_word("READY=1")
-    for _ in range(10):
-        process.wait_for_word("WATCHDOG=1")
-
-
-def test_ready_without_a_port_and_link_up_when_it_appears(
+def test_ready_without_a_camera_or_a_port_and_link_up_when_it_appears(
     write_config: Callable[..., Path], start: Callable[..., Any], tmp_path: Path
 ) -> None:
     from sim.vehicle.pty_link import open_pty
 
-    port = tmp_path / "autopilot"
-    process = start(write_config(telemetry={"connection": f"serial:{port}:921600"}))
-    process.wait_for_word(f"STATUS=degraded: link: {port}: no such port")
+    port, camera = tmp_path / "autopilot", {"kind": "v4l2", "device": str(tmp_path / "no-camera")}
+    process = start(write_config(camera=camera, telemetry={"connection": f"serial:{port}:921600"}))
+    status = process.wait_for_word("STATUS=degraded: not recognized: camera: ")
+    assert f"; link: {port}: no such port" in status
     process.wait_for_word("READY=1")
-    process.wait_for_word("WATCHDOG=1")
+    for _ in range(10):
+        process.wait_for_word("WATCHDOG=1")
     cable = open_pty()
     port.symlink_to(cable.device)
     while str(port) in process.wait_for_word("STATUS="):

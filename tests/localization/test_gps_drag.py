@@ -18,7 +18,7 @@ from sim.research.trial import gps_histories
 from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, left_m, match, north_m, settings
 from tests.localization.route_course import SPACING_M, Stretch
 
-LENGTH_M, FROM_S = 900.0, 30.0
+LENGTH_M, FROM_S, DRAWN = 900.0, 30.0, 590
 EVERY, LOOK_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
 """Frames from look to look; how far off one is; which share of them is a second solution, and by how much."""
 SETTINGS = settings(RigConfig(look_sigma_m=0.01))
@@ -60,11 +60,11 @@ def drive(
     one.odometer = odometer or 1.0
     one.frame = {} if odometer else {"without_gps": None}
     count = round((LENGTH_M - 20.0) / SPACING_M)
-    time_s = np.arange(count) * FRAME_NS / 1e9
-    true_m = np.column_stack([np.zeros(count), one.north_m - SPEED_MPS * time_s])
+    time_s = np.arange(DRAWN) * FRAME_NS / 1e9
+    true_m = np.column_stack([np.zeros(DRAWN), one.north_m - SPEED_MPS * time_s])
     offsets_m = history(time_s, true_m, rng)
     map_m = gps_histories.usual(time_s, rng) / 1.2
-    for frame, (off_m, mapped_m) in enumerate(zip(offsets_m, map_m, strict=True)):
+    for frame, (off_m, mapped_m) in enumerate(zip(offsets_m[:count], map_m, strict=False)):
         one.move()
         beside_m = mapped_m[0] + rng.normal(0.0, LOOK_M) + SECOND_M * (rng.random() < SECOND)
         beside_m += twin_m if 2 * frame > count else 0.0

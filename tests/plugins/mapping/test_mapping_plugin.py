@@ -51,14 +51,17 @@ class ToldNetwork(Network):
 class Trip:
     """A road, driven out and home; what looks along it in one direction sees one thing, in the other another."""
 
-    def __init__(self, network: ToldNetwork, *, home: bool = True, stands_s: float = 3.0) -> None:
-        self.now_ns = 10**12
+    def __init__(
+        self, network: ToldNetwork, *, home: bool = True, stands_s: float = 3.0, ends_m: float = ROAD_M
+    ) -> None:
+        """ends_m: where a drive that does not lead home is over."""
+        self.now_ns, self._ends_m = 10**12, 2 * ROAD_M if home else ends_m
         self._stands_s = stands_s
         self.network = network
         rng = np.random.default_rng(7)
         noise = rng.normal(size=(2, PLACES + 2, 2, 4096)).astype(np.float32)
         self._views = np.maximum(noise[:, :-2] + noise[:, 1:-1] + noise[:, 2:], 0)  # east, then west
-        self._rng, self._home = rng, home
+        self._rng = rng
 
     def clock_ns(self) -> int:
         return self.now_ns
@@ -69,7 +72,7 @@ class Trip:
 
     @property
     def is_over(self) -> bool:
-        return self.driven_m > (2 if self._home else 1) * ROAD_M
+        return self.driven_m > self._ends_m
 
     @property
     def is_home(self) -> bool:
@@ -236,9 +239,9 @@ def believed_on_the_way_home(folder: Path) -> list[FrameUsed]:
     return [frame for frame in used if frame.accepted and frame.stamp_ns > 10**12 + (3 + ROAD_M / SPEED_MPS) * 1e9]
 
 
-def mapping_to(folder: Path, *, second_camera: bool) -> MappingConfig:
+def mapping_to(folder: Path, *, second_camera: bool, keypoints: bool = False) -> MappingConfig:
     camera = CameraConfig(kind="sim", view="rear") if second_camera else msgspec.UNSET
-    return MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=60.0, camera=camera)
+    return MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=60.0, camera=camera, keypoints=keypoints)
 
 
 def test_home_on_the_map_of_the_way_out(placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack) -> None:
@@ -259,16 +262,16 @@ def test_home_on_the_map_of_the_way_out(placed_network: ToldNetwork, tmp_path: P
     assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
 
 
-@pytest.mark.parametrize("keep_pictures", [True, False])
-@pytest.mark.parametrize("second_camera", [True, False])
+@pytest.mark.parametrize(("keep_pictures", "second_camera"), [(True, True), (False, True), (False, False)])
 def test_one_key_says_whether_anything_of_a_drive_keeps_a_picture(
     placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack, keep_pictures: bool, second_camera: bool
 ) -> None:
-    world, mapping = Trip(placed_network, home=False), mapping_to(tmp_path / "maps", second_camera=second_camera)
+    world = Trip(placed_network, home=False, ends_m=140.0)
+    mapping = mapping_to(tmp_path / "maps", second_camera=second_camera, keypoints=True)
     recording = RecordingConfig(folder=str(tmp_path / "recordings"), min_free_mb=0.0)
     drive(world, tmp_path, parts, mapping, recording=recording, keep_pictures=keep_pictures)
     (made,) = logs_in(tmp_path / "maps")
-    assert made.stat().st_size > 100 * 8192 * 2, "it was mapped"
+    assert made.stat().st_size > 50 * 8192 * 2, "it was mapped"
     with_pictures = {
         file.name
         for file in tmp_path.rglob("*")

@@ -62,7 +62,7 @@ def test_a_file_that_was_cut_short_gives_what_it_has(recorded: tuple[Path, Path]
 def test_it_is_replayed_and_made_a_map_of_as_the_feed_itself(
     write_traverse: Callable[..., Path], recorded: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    write_traverse(tmp_path / "street", range(60))
+    write_traverse(tmp_path / "street", range(30))
     assert main(["dev", "mcap", "write", str(tmp_path / "street"), "-o", str(tmp_path / "street.mcap")]) == 0
     query, query_mcap = (str(path) for path in recorded)
     assert main(["dev", "mcap", "read", query_mcap, "-o", str(tmp_path / "unpacked")]) == 0

@@ -22,6 +22,14 @@ def street_map(write_traverse: Callable[..., Path], tmp_path_factory: pytest.Tem
     return folder / "map"
 
 
+@pytest.fixture(scope="module")
+def plain_map(street_map: Path) -> Path:
+    """The same without keypoints."""
+    path = street_map.with_name("plain")
+    assert main(["map", "build", str(street_map.with_name("out")), "-o", str(path), "--no-keypoints"]) == 0
+    return path
+
+
 def test_the_numbers_are_those_of_replay(
     street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -44,7 +52,11 @@ def test_the_numbers_are_those_of_replay(
 
 
 def test_a_single_picture_is_placed_by_its_inliers(
-    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    street_map: Path,
+    plain_map: Path,
+    write_traverse: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """At 7.6 m between pictures a frame whose own place has 400 inliers was matched 17 m off by the sequence."""
     again = write_traverse(tmp_path / "again", range(22), noise=8.0)
@@ -60,8 +72,7 @@ def test_a_single_picture_is_placed_by_its_inliers(
     cv2.imwrite(str(blank), np.full((120, 160, 3), 128, np.uint8))
     assert main(["where", str(blank), "--map", str(street_map)]) == 0
     assert "shows no place for sure" in capsys.readouterr().out
-    assert main(["map", "build", str(again), "-o", str(tmp_path / "plain"), "--no-keypoints"]) == 0
-    assert main(["where", str(picture), "--map", str(tmp_path / "plain")]) == 78
+    assert main(["where", str(picture), "--map", str(plain_map)]) == 78
     assert "plain: no keypoints; add them with `lookback map keypoints`" in capsys.readouterr().err
 
 
@@ -86,13 +97,13 @@ def test_local_meters_are_compared_only_with_those_from_the_same_origin(
         assert refused.format(origin) in error and "\n" not in error.strip()
     header = tmp_path / "yard/feed.toml"
     header.write_text(header.read_text().replace('origin = ""', 'origin = "hall"'))
-    assert main(["map", "build", hall, "-o", str(tmp_path / "map")]) == 0
+    assert main(["map", "build", hall, "-o", str(tmp_path / "map"), "--no-keypoints"]) == 0
     assert main(["eval", yard, "--map", str(tmp_path / "map"), "--tolerance-m", "5"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].split()[:3] == ["yard", "45", "45"]
 
 
 def test_what_a_covered_camera_shows_is_no_place(
-    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path
+    plain_map: Path, write_traverse: Callable[..., Path], tmp_path: Path
 ) -> None:
     """Covered from 40 to 60 m, with the noise of its sensor: no frame of it is used, and a new sequence begins."""
     again, lines = write_traverse(tmp_path / "again", noise=8.0), tmp_path / "lines"
@@ -101,7 +112,7 @@ def test_what_a_covered_camera_shows_is_no_place(
     for frame in covered:
         gray = rng.normal(120, 6, (120, 160, 3)).clip(0, 255).astype(np.uint8)
         assert cv2.imwrite(str(sorted((again / "frames").iterdir())[frame]), gray)
-    assert main(["replay", str(again), "--map", str(street_map), *options]) == 0
+    assert main(["replay", str(again), "--map", str(plain_map), *options]) == 0
     used = {line["frame"]: line["accepted"] for line in map(json.loads, lines.read_text().splitlines())}
     assert used[19] and set(used) == set(range(80)) - set(covered)
     assert [used[frame] for frame in range(30, 39)] == [False] * 9, "as few frames as a sequence needs"
@@ -110,7 +121,7 @@ def test_what_a_covered_camera_shows_is_no_place(
 
 @pytest.mark.parametrize(("ahead_m", "side"), [(-30.0, "ahead of"), (30.0, "behind")])
 def test_an_offset_near_the_tolerance_is_warned_of(
-    street_map: Path,
+    plain_map: Path,
     write_traverse: Callable[..., Path],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -120,7 +131,7 @@ def test_an_offset_near_the_tolerance_is_warned_of(
     """The camera sees places where it is, and the config says that they lie elsewhere."""
     again, config = write_traverse(tmp_path / "again", range(65), noise=8.0), tmp_path / "rig.toml"
     config.write_text(f"[rig]\nahead_forward_same_m = {ahead_m}\n")
-    options = ["eval", str(again), "--map", str(street_map), "--config", str(config)]
+    options = ["eval", str(again), "--map", str(plain_map), "--config", str(config)]
     assert main(options) == 0
     warning = capsys.readouterr().err
     assert f"again: the median accepted place lies 30 m {side} the vehicle, and the tolerance is 40 m" in warning
