@@ -205,12 +205,7 @@ class PositionEstimator:
             # By votes alone: dead reckoning would else be evidence for a place that it made credible.
             if match is not None and match.alone.accepted and match.alone.place_index == match.place_index:
                 self._observe(fix, frame.motion)
-        if self._gps.is_wrong and not was_wrong:
-            # The vehicle is where GPS has it, less its error. What GPS has contradicted so far is not contradicted.
-            self._aiding.call_gps(self._gps.verdict.off_m)
-            self._claims.contradict_nothing()
-        elif self._gps.is_doubted:
-            self._aiding.doubt_gps()
+        self._judge_gps(was_wrong=was_wrong)
 
     def _yaw_rad(self, stamp_ns: int) -> float | None:
         """The autopilot's heading at an exposure; None where it has reported none around then."""
@@ -235,6 +230,15 @@ class PositionEstimator:
         innovation = known.aiding.innovation(fix, motion, known.autopilot)
         likelihood, is_shift = fix_likelihood(fix, innovation, known.cross_track)
         self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
+
+    def _judge_gps(self, *, was_wrong: bool) -> None:
+        """Use the newest verdict on GPS; once it is wrong, the vehicle is where GPS has it, less its error."""
+        if self._gps.is_wrong and not was_wrong:
+            # What GPS has contradicted so far is not contradicted any more.
+            self._aiding.call_gps(self._gps.verdict.off_m)
+            self._claims.contradict_nothing()
+        elif self._gps.is_doubted:
+            self._aiding.doubt_gps()
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own

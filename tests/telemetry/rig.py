@@ -47,9 +47,9 @@ class ToldEstimator(PositionEstimator):
 
     def judge(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS from now on."""
-        self._gps.verdict = verdict
+        was_wrong, self._gps.verdict = self._gps.is_wrong, verdict
         self._gps._state = verdict.state if verdict.state != "not recognized" else "cannot say"
-        self._judge_gps()
+        self._judge_gps(was_wrong=was_wrong)
         self._known = None
 
     @property
