@@ -212,15 +212,6 @@ class PositionEstimator:
                 self._observe(fix, frame.motion)
         self._judge_gps(was_wrong=was_wrong)
 
-    def _judge_gps(self, *, was_wrong: bool) -> None:
-        """Use the newest verdict on GPS."""
-        if self._gps.is_wrong and not was_wrong:
-            # The vehicle is where GPS has it, less its error. What GPS has contradicted so far is not contradicted.
-            self._aiding.call_gps(self._gps.verdict.off_m)
-            self._claims.contradict_nothing()
-        elif self._gps.is_doubted:
-            self._aiding.doubt_gps()
-
     def _yaw_rad(self, stamp_ns: int) -> float | None:
         """The autopilot's heading at an exposure; None where it has reported none around then."""
         last = min(bisect_left(self._headings, (stamp_ns,)), len(self._headings) - 1)
@@ -244,6 +235,15 @@ class PositionEstimator:
         innovation = known.aiding.innovation(fix, motion, known.autopilot)
         likelihood, is_shift = fix_likelihood(fix, innovation, known.cross_track)
         self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
+
+    def _judge_gps(self, *, was_wrong: bool) -> None:
+        """Use the newest verdict on GPS; once it is wrong, the vehicle is where GPS has it, less its error."""
+        if self._gps.is_wrong and not was_wrong:
+            # What GPS has contradicted so far is not contradicted any more.
+            self._aiding.call_gps(self._gps.verdict.off_m)
+            self._claims.contradict_nothing()
+        elif self._gps.is_doubted:
+            self._aiding.doubt_gps()
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own

@@ -124,14 +124,14 @@ class AutopilotConnection:
 
     def judge_gps(self) -> None:
         """The places say something of GPS now."""
-        verdict, disagreed = self.drive.state.gps, self._gps_news.published == "inconsistent"
-        is_ignored = self._gps_news.publish(verdict) and self.drive.state.ignores_gps
+        news = self._gps_news.publish(self.drive.state.gps)
+        is_ignored = news == "faulty" and self.drive.state.ignores_gps
         if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
         elif is_ignored and not self.positions.selects_sources:
             self.positions.sources.warn_that_gps_stays()
         _, missing = self.vehicle.velocity.witness(self.clock_ns())
-        if verdict.state == "inconsistent" and not disagreed and missing:
+        if news == "inconsistent" and missing:
             self._warn(f"Lookback: who is right? no {missing}")
 
     @property

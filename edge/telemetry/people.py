@@ -122,25 +122,24 @@ class GpsNews:
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
-        self.published = ""
-        """The newest state, "" before the first."""
+        self._published = ""  # the newest state, "" before the first
         self._values_ns = 0
 
-    def publish(self, verdict: GpsVerdict) -> bool:
-        """Publish a verdict where it is another one; True where GPS was just declared faulty."""
-        before = self.published
+    def publish(self, verdict: GpsVerdict) -> str:
+        """Publish a verdict where it is another one; returns its state then, else ""."""
+        before = self._published
         if verdict.state == before or (not before and verdict.state == "cannot say"):
-            return False
-        self.published = verdict.state
+            return ""
+        self._published = verdict.state
         east_m, north_m = verdict.off_m or (None, None)
         self._publisher.record(GpsJudged(verdict.state, east_m, north_m, verdict.doubt))
         if verdict.state in GPS_TEXTS and (verdict.state != "consistent" or before == "faulty"):
             self._publisher.warn(GPS_TEXTS[verdict.state].format(verdict.where))
-        return verdict.state == "faulty"
+        return verdict.state
 
     def values_due(self, verdict: GpsVerdict, boot_ms: int, now_ns: int) -> list[Message]:
         """The values for ground stations and scripts, once a second from the first answer on."""
-        if not self.published or now_ns < self._values_ns:
+        if not self._published or now_ns < self._values_ns:
             return []
         self._values_ns = now_ns + VALUES_NS
         return encoders.gps_values(verdict.doubt, verdict.distance_m, boot_ms)

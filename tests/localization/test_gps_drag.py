@@ -210,7 +210,7 @@ def left(
     wrong: int = -1,
     seed: int | Sequence[int] = 7,
 ) -> list[Left]:
-    """Home, by an autopilot that follows GPS: that leaves to the left by 1 m/s, is right after to_m, and leaves anew.
+    """Home, by an autopilot that follows GPS: twice, that leaves to the left by 1 m/s, and is right again after to_m.
 
     every: frames from pose to pose. acts: `doubted_gps`. wrong: the frame whose pose alone is 8 m to the right.
     """

@@ -214,8 +214,8 @@ def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(
 
 @pytest.mark.parametrize(
     ("state", "changes", "after"), [
-        ("faulty", {"gps": 99.0}, "faulty"), ("suspect", {}, "suspect"), ("suspect", {"gap_m": 241.0}, "cannot say"),
-        ("left", {"agreed_m": 120.0, "is_followed": False}, "consistent"), ("left", {"is_followed": False}, "left"),
+        ("faulty", {"is_followed": False}, "faulty"), ("left", {"agreed_m": 120.0, "is_followed": False}, "consistent"),
+        ("faulty", {"agreed_m": 120.0, "is_followed": False}, "consistent"), ("left", {"gap_m": 241.0}, "cannot say"),
         ("suspect", {"agreed_m": 999.0, "is_followed": False}, "left"), ("suspect", {"agreed_m": 30.0}, "consistent"),
         ("left", {"is_followed": False, "is_far": True}, "faulty"), ("consistent", {"gps": 3.0}, "suspect"),
         ("consistent", {"gps": 9.0, "of_map": 6.0}, "faulty"), ("consistent", {"of_map": 9.0}, "map faulty"),
