@@ -21,7 +21,7 @@ USUAL_M = 60.0
 """Of the map's drive, to each side of what is searched: by which cells are normalized."""
 APART, CLEAR = 6, 0.04
 """Cells to another place, and by how much a window must fit less there."""
-LEAST_SIGMA_M, NOISE, FLAT = (0.3, 0.3), 0.018, 0.004
+LEAST_SIGMA_M, NOISE, FLAT = (0.3, 0.25), 0.018, 0.004
 """Standard deviation along and to the left: its least, and what divided by cosine and root of the bend adds to that."""
 QUIET = 0.3
 """Added to the standard deviation of a cell, in logarithms of counts."""
