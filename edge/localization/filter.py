@@ -12,6 +12,7 @@ which is the (...) of all shapes here. One alone has none.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
@@ -157,7 +158,7 @@ class Filter:
         """The scale is as uncertain as if nothing had been shown of it; all that was owed to it as well."""
         self._about[..., SCALE], self._sigma[..., SCALE] = 0.0, sigma
         found = self.covariance[..., SCALE, SCALE]
-        by_scale = self.covariance[..., SCALE] / np.maximum(found, np.finfo(np.float64).tiny)
+        by_scale = self.covariance[..., SCALE] / np.maximum(found, sys.float_info.min)
         more = np.where(found > 0, np.maximum(sigma**2 - found, 0.0), 0.0)
         self.covariance += more * by_scale @ by_scale.swapaxes(-1, -2)
 
@@ -199,18 +200,15 @@ class Filter:
 
     def _grown(self, slot: Slot, before: DriveErrors, errors: DriveErrors) -> DriveErrors:
         """Errors of a drive from another place on, where its map may be less certain, or off by something else."""
-        crept_m2 = abs(errors.crept_m2 - before.crept_m2)
-        if crept_m2 >= CREEPS_M2:
-            self.widen(slot.whole, math.sqrt(crept_m2 / 2))
-        else:  # a vehicle that stands passes the same places again and again
-            errors = replace(errors, crept_m2=before.crept_m2)
-        if errors.map_m > before.map_m:
-            self.widen(slot.map, math.sqrt(errors.map_m**2 - before.map_m**2))
-        if np.trace(errors.whole) > np.trace(before.whole) + 1e-9:
-            self.covariance[..., slot.whole, slot.whole] += errors.whole - before.whole
-        else:
-            errors = replace(errors, whole=before.whole)
-        return errors
+        crept_m2, whole = errors.crept_m2, errors.whole
+        if abs(crept_m2 - before.crept_m2) < CREEPS_M2:  # a vehicle that stands passes the same places again and again
+            crept_m2 = before.crept_m2
+        if np.trace(whole) <= np.trace(before.whole) + 1e-9:
+            whole = before.whole
+        self.widen(slot.map, math.sqrt(max(0.0, errors.map_m**2 - before.map_m**2)))
+        self.widen(slot.whole, math.sqrt(abs(crept_m2 - before.crept_m2) / 2))
+        self.covariance[..., slot.whole, slot.whole] += whole - before.whole
+        return replace(errors, whole=whole, crept_m2=crept_m2)
 
     @property
     def newest(self) -> Slot | None:

@@ -123,7 +123,7 @@ class FilterBank:
         kept = [row for row, name in enumerate(self.names) if row and name not in gone]
         if now_s - self._began_s >= BEGINS_S:
             self._began_s = now_s
-            for name in CREEPS.keys() - unasked:
+            for name in [name for name in CREEPS if name not in unasked]:
                 begun = [row for row in self._rows(name) if row in kept]
                 if len(begun) == BEGUN:  # the oldest that is not the likeliest
                     likeliest = max(begun, key=likelihood.item)
