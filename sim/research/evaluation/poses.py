@@ -96,7 +96,8 @@ class Truth:
         heading = float(self._headings[place])
         cos, sin, off_m = np.cos(heading), np.sin(heading), self._here_m(row) - self._at_m[place]
         turn = (np.radians(row.heading_deg or 0.0) - heading + np.pi) % (2 * np.pi) - np.pi
-        return np.array([right_m, ahead_m, turn_rad]) - [off_m @ (cos, -sin), off_m @ (sin, cos), turn]
+        true = np.array([off_m @ (cos, -sin), off_m @ (sin, cos), turn])
+        return np.asarray(np.array([right_m, ahead_m, turn_rad]) - true)
 
     def _here_m(self, row: FeedRow) -> NDArray[np.float64]:
         return np.asarray(east_north(np.array([row.lat_deg], float), np.array([row.lon_deg], float), self._origin)[0])
