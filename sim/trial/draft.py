@@ -22,8 +22,8 @@ from sim.world.scenario import Scenario
 class Draft:
     """One seeded drive. Seconds count from the start of the drive, meters along its way.
 
-    home: the road as seen tonight. gps_until_m: where GPS fails, whatever gps_at says. lon_shift_deg: by which the
-    simulation's origin is moved east. keypoints: the map has them, and pictures are rendered.
+    home: the road as seen tonight. gps_until_m: where GPS fails, whatever gps_at says. keypoints: the map has them, and
+    pictures are rendered.
     """
 
     rng: np.random.Generator
@@ -35,7 +35,6 @@ class Draft:
     errors: OdometryErrors = field(init=False)
     gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport()
     gps_until_m: float = math.inf
-    lon_shift_deg: float = 0.0
     keypoints: bool = False
 
     def __post_init__(self) -> None:

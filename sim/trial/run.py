@@ -157,9 +157,9 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
         found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, cross_track_m, at_s))
 
     origin_m = simulation.autopilot.origin_m
-    origin_deg = geodetic(*origin_m, draft.lon_shift_deg) if origin_m else None
+    origin_deg = geodetic(*origin_m) if origin_m else None
     for item in simulation.autopilot.received:
-        position = read_position(item.message, origin_deg, draft.lon_shift_deg)
+        position = read_position(item.message, origin_deg)
         if position is not None:
             east_m, north_m, sigma_m, age_s = position
             arrived_s = simulation.time_s(item.time_s)
@@ -180,18 +180,18 @@ def _known_sigmas(journal: Path, simulation: Simulation) -> Array:
 
 
 def read_position(
-    message: Message, origin_deg: tuple[float, float] | None = None, shift_deg: float = 0.0
+    message: Message, origin_deg: tuple[float, float] | None = None
 ) -> tuple[float, float, float, float] | None:
     """East, north, sigma (m) and age (s) of a position message, None for others.
 
     origin_deg: latitude and longitude of the autopilot's origin, which a vision position needs; its sigma is infinite,
-    since the message's lacks the error of the map. shift_deg: by which the simulation's origin was moved east.
+    since the message's lacks the error of the map.
     """
     kind = message.get_msgId()
     if kind == mavlink.MAVLINK_MSG_ID_COMMAND_INT and message.command == EXTERNAL_POSITION_ESTIMATE:
-        return *east_north_m(message.x / 1e7, message.y / 1e7, shift_deg), message.param3, message.param2
+        return *east_north_m(message.x / 1e7, message.y / 1e7), message.param3, message.param2
     if kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
-        return *east_north_m(message.lat / 1e7, message.lon / 1e7, shift_deg), message.eph, 0.0
+        return *east_north_m(message.lat / 1e7, message.lon / 1e7), message.eph, 0.0
     if kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE and origin_deg is not None:
-        return *east_north_m(*vision_deg(message, origin_deg), shift_deg), math.inf, 0.0
+        return *east_north_m(*vision_deg(message, origin_deg)), math.inf, 0.0
     return None

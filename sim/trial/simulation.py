@@ -99,7 +99,6 @@ class Simulation:
             lambda: self.now_ns,
             errors=self._draft.errors,
             gps_at=lambda now_s: self.gps(now_s - self._epoch_s),
-            lon_shift_deg=self._draft.lon_shift_deg,
             **others,
         )
 

@@ -65,7 +65,6 @@ class SimulatedAutopilot:
         drift_percent: float = 0.0,
         errors: OdometryErrors | None = None,
         gps_at: Callable[[float], GpsReport] = lambda now_s: GpsReport(),
-        lon_shift_deg: float = 0.0,
         booted_before_s: float = 0.0,
         codec: MavlinkCodec | None = None,
     ) -> None:
@@ -74,12 +73,12 @@ class SimulatedAutopilot:
         firmware: a row of `sim.vehicle.firmware.FIRMWARES`. gps: whether there is a receiver with a fix; it fails at
         `gps_fails_s` of that clock. has_origin: whether it has an origin at boot, as after a start with
         GPS; else, where the firmware needs one, it has to be set. errors: of its odometry, or drift_percent as its
-        scale. gps_at: the receiver's report. lon_shift_deg: moves the simulation's origin east. booted_before_s: how
+        scale. gps_at: the receiver's report. booted_before_s: how
         long ago it booted. codec: one that signs, for example.
         """
         self.gps = gps
         self._gps_at, self._gps_fails_s = gps_at, gps_fails_s
-        self._lon_shift_deg, self._booted_before_ns = lon_shift_deg, round(booted_before_s * 1e9)
+        self._booted_before_ns = round(booted_before_s * 1e9)
         self.loses: Callable[[Message, bool], bool] = lambda message, outgoing: False
         """Whether the link loses a message, which is the autopilot's own if outgoing."""
         self.received: list[MessageArrival] = []
@@ -108,7 +107,7 @@ class SimulatedAutopilot:
         """By how much its answers to TIMESYNC are ahead of the clock that its messages are stamped with."""
         self.estimate = Estimator(self._pose, now_s, self._errors, self._firmware.noise)
         self._attitude = AttitudeEstimate(self._errors.seed)
-        self.inputs = PositionInputs(self._firmware, self.estimate, lon_shift_deg)
+        self.inputs = PositionInputs(self._firmware, self.estimate)
         self.inputs.is_aided_by_camera = self._errors.source == "camera"
         self._boot()
         self._boot_ns -= self._booted_before_ns
@@ -228,7 +227,7 @@ class SimulatedAutopilot:
         elif kind in (mavlink.MAVLINK_MSG_ID_ODOMETRY, mavlink.MAVLINK_MSG_ID_VISION_POSITION_DELTA):
             self.inputs.velocity(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
-            self.set_origin(*east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg))
+            self.set_origin(*east_north_m(message.latitude / 1e7, message.longitude / 1e7))
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ and message.param_id in self.parameters:
             self._say_parameter(message.param_id)
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_SET and message.param_id in self.parameters:
@@ -313,7 +312,6 @@ class SimulatedAutopilot:
             attitude=self._attitude,
             origin_m=self.origin_m,
             has_wheels=self._errors.source == "wheels",
-            lon_shift_deg=self._lon_shift_deg,
             base_mode=self.base_mode,
             custom_mode=custom_mode(self.mode, self._unaided_s, self.parameters.get(NO_AID_TIMEOUT, (NO_AID_US, 0))[0]),
         )

@@ -44,7 +44,6 @@ class AutopilotSnapshot:
     attitude: AttitudeEstimate
     origin_m: tuple[float, float] | None
     has_wheels: bool
-    lon_shift_deg: float
     base_mode: int
     custom_mode: int = 0
 
@@ -65,7 +64,7 @@ class AutopilotSnapshot:
 
     def degrees(self, east_m: float, north_m: float) -> tuple[int, int]:
         """Latitude and longitude in 1e-7 degrees."""
-        lat_deg, lon_deg = geodetic(east_m, north_m, self.lon_shift_deg)
+        lat_deg, lon_deg = geodetic(east_m, north_m)
         return round(lat_deg * 1e7), round(lon_deg * 1e7)
 
 

@@ -48,8 +48,7 @@ class InputContext:
 class PositionInputs:
     """Handles positions as one firmware does."""
 
-    def __init__(self, firmware: SimulatedFirmware, estimate: Estimator, lon_shift_deg: float = 0.0) -> None:
-        self._lon_shift_deg = lon_shift_deg
+    def __init__(self, firmware: SimulatedFirmware, estimate: Estimator) -> None:
         self._firmware = firmware
         self._estimate = estimate
         self.resets: list[Reset] = []
@@ -91,7 +90,7 @@ class PositionInputs:
             late_s = moment.boot_s - command.param1
             age_s += late_s if 0 <= late_s < LAG_S else LAG_S
         if without_gps_s <= self._firmware.uses_filter_for_s:
-            self._reset(*east_north_m(lat_deg, lon_deg, self._lon_shift_deg), moment, age_s, command.param3)
+            self._reset(*east_north_m(lat_deg, lon_deg), moment, age_s, command.param3)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def _would_accept(self, without_gps_s: float, moment: InputContext) -> bool:
@@ -103,7 +102,7 @@ class PositionInputs:
     def sensor(self, message: Message, moment: InputContext) -> None:
         """GLOBAL_POSITION_SENSOR: gated, its times ignored."""
         if self._firmware.fuses_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
-            east_m, north_m = east_north_m(message.lat / 1e7, message.lon / 1e7, self._lon_shift_deg)
+            east_m, north_m = east_north_m(message.lat / 1e7, message.lon / 1e7)
             self._fuse(east_m, north_m, moment, message.eph)
 
     def vision(self, message: Message, moment: InputContext) -> None:
@@ -113,8 +112,8 @@ class PositionInputs:
         """
         if not self._firmware.fuses_poses or self.source_set != SET_WITHOUT_GPS or moment.origin_m is None:
             return
-        origin_deg = geodetic(*moment.origin_m, self._lon_shift_deg)
-        self._fuse(*east_north_m(*vision_deg(message, origin_deg), self._lon_shift_deg), moment, POSE_SIGMA_M)
+        origin_deg = geodetic(*moment.origin_m)
+        self._fuse(*east_north_m(*vision_deg(message, origin_deg)), moment, POSE_SIGMA_M)
 
     def velocity(self, message: Message, moment: InputContext) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives), gated.
@@ -157,6 +156,6 @@ def vision_deg(message: Message, origin_deg: tuple[float, float]) -> tuple[float
     return lat_deg, origin_deg[1] + message.y / ARDUPILOT_M_PER_DEG / to_east
 
 
-def east_north_m(lat_deg: float, lon_deg: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:
+def east_north_m(lat_deg: float, lon_deg: float) -> tuple[float, float]:
     """Meters east and north of the simulation's origin, which lies so many degrees further east than usual."""
-    return east_north_of(lat_deg, lon_deg, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg), ORIGIN_ALT_M)
+    return east_north_of(lat_deg, lon_deg, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG), ORIGIN_ALT_M)

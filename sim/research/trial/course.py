@@ -69,10 +69,10 @@ class CourseDraft(Draft):
     an origin; by default ORIGIN_OFF_M without GPS. seen_m: the arc length that a road looks like at another, for roads
     that repeat. frozen_s: from when to when the picture stands still. late_s: by how much pictures are older than they
     say, those of a stream; they are rendered then. clock_off_s: by how much the autopilot's TIMESYNC is ahead of its
-    messages. companion_s: how often another companion computer resets the autopilot. has_double: another vehicle ahead
-    on the same radio has the same ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the
-    camera, as if it was learned before, in true ones. shown_m: the arc length of the road in a picture, at that of the
-    camera: of a camera that is lower by a tenth it passes by a tenth faster. keypoint_rules: see `course`.
+    messages. companion_s: how often another companion computer resets the autopilot. motion: [motion] use; unless it is
+    "off", pictures are rendered. height: of the camera, as if it was learned before, in true ones. shown_m: the arc
+    length of the road in a picture, at that of the camera: of a camera that is lower by a tenth it passes by a tenth
+    faster. keypoint_rules: see `course`.
     """
 
     map: list[MapStretch] = field(init=False)
@@ -98,7 +98,6 @@ class CourseDraft(Draft):
     late_s: float = 0.0
     clock_off_s: float = 0.0
     companion_s: float = math.inf
-    has_double: bool = False
     down_s: float = 0.0
     motion: Literal["off", "odometer", "send"] = "off"
     height: float | None = None

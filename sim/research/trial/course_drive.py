@@ -30,7 +30,6 @@ from sim.trial.records import Array, TrialRun
 from sim.trial.run import TrialDrive
 from sim.trial.simulation import FRAME_S, STEP_S, NullLink, Simulation
 from sim.trial.views import RoadLibrary, TrialCamera, View
-from sim.trial.way import Driver, Leg
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -39,7 +38,6 @@ from sim.world.scenario import Scenario
 from sim.world.sensor import CAMERA_HIGH_M
 
 COMPANION_OFF_M, COMPANION_SIGMA_M = 3.0, 5.0  # of its positions: wrong in each direction, and as they say
-DOUBLE_AHEAD_M, DOUBLE_MPS, DOUBLE_BOOTED_S = 60.0, 5.0, 90.0
 
 
 def drive(course: Course, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> CourseRun:
@@ -59,8 +57,7 @@ class CourseSimulation(Simulation):
     _draft: CourseDraft
 
     def __init__(self, draft: CourseDraft, link: Link, seed: int, driven: Callable[[float], object]) -> None:
-        links = shared(link, 2) if draft.has_double else [link]
-        super().__init__(draft, links[0], seed, driven)
+        super().__init__(draft, link, seed, driven)
         late = round(draft.late_s / FRAME_S)
         shown_m = draft.shown_m if draft.motion != "off" or draft.late_s or draft.keypoints else None
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
@@ -77,11 +74,6 @@ class CourseSimulation(Simulation):
         self._sets_origin = isinstance(link, NullLink)
         """Which somebody else does then."""
         self._companion_rng = np.random.default_rng([seed, 15])
-        self._double: tuple[Driver, SimulatedAutopilot] | None = None
-        if draft.has_double:
-            legs, rng = [Leg(draft.way.length_m - 2, DOUBLE_MPS)], np.random.default_rng([seed, 16])
-            ahead = Driver(draft.way, legs, rng, starts_m=DOUBLE_AHEAD_M)
-            self._double = ahead, self._autopilot(links[1], lambda: ahead.pose, booted_before_s=DOUBLE_BOOTED_S)
 
     def _autopilot(self, link: Link, pose: Callable[[], Pose], **others: Any) -> SimulatedAutopilot:
         draft = self._draft
@@ -103,16 +95,13 @@ class CourseSimulation(Simulation):
         if self.time_s() >= self._companion_due_s:
             self._companion_due_s += self._draft.companion_s
             self._hear_companion()
-        if self._double is not None:
-            self._double[0].step(STEP_S)
-            self._double[1].step()
         if self._sets_origin and self._draft.origin_m is not None:
             self.autopilot.set_origin(*self._draft.origin_m)
 
     def _hear_companion(self) -> None:
         """Another computer on the vehicle resets the autopilot's position."""
         pose, off_m = self.driver.pose, self._companion_rng.normal(0.0, COMPANION_OFF_M, 2)
-        lat_deg, lon_deg = geodetic(pose.east_m + off_m[0], pose.north_m + off_m[1], self._draft.lon_shift_deg)
+        lat_deg, lon_deg = geodetic(pose.east_m + off_m[0], pose.north_m + off_m[1])
         values = self.autopilot.boot_s, 0.0, COMPANION_SIGMA_M, math.nan
         place = round(lat_deg * 1e7), round(lon_deg * 1e7), math.nan
         command = EXTERNAL_POSITION_ESTIMATE
@@ -172,7 +161,7 @@ class CourseDrive(TrialDrive):
     def config(self, connection: str, map_path: Path) -> Config:
         """What the course asks for."""
         config, draft = super().config(connection, map_path), self.draft
-        origin = (*geodetic(*draft.origin_m, draft.lon_shift_deg), ORIGIN_ALT_M) if draft.origin_m else ()
+        origin = (*geodetic(*draft.origin_m), ORIGIN_ALT_M) if draft.origin_m else ()
         replace, mapping = msgspec.structs.replace, config.of(MappingConfig)
         if not draft.maps_live:
             mapping = MappingConfig()
@@ -234,7 +223,7 @@ class CourseDrive(TrialDrive):
         def off(one: FrameUsed | PlaceFix) -> list[tuple[float, float]]:
             if one.lat_deg is None or one.lon_deg is None:
                 return []
-            there_m = east_north_m(one.lat_deg, one.lon_deg, self.draft.lon_shift_deg)
+            there_m = east_north_m(one.lat_deg, one.lon_deg)
             return [(simulation.time_s(one.stamp_ns / 1e9), math.dist(there_m, true(one.stamp_ns, 3, 4)))]
 
         believed = [found for one in frames if one.accepted for found in off(one)]
@@ -276,37 +265,3 @@ class CourseDrive(TrialDrive):
         for start_m, end_m in draft.unsent:
             expected &= ~((along_m >= start_m) & (along_m < end_m))
         return np.asarray(expected, bool)
-
-
-class SharedLink:
-    """The part of one vehicle: it hears everything that arrives, as each other part of `shared` does."""
-
-    def __init__(self, link: Link, parts: list[SharedLink]) -> None:
-        self._link, self._parts = link, parts
-        self._heard = b""
-        parts.append(self)
-
-    def receive(self) -> bytes:
-        """What has arrived since this part's last call."""
-        arrived = self._link.receive()
-        for part in self._parts:
-            part._heard += arrived
-        heard, self._heard = self._heard, b""
-        return heard
-
-    def send(self, data: bytes) -> bool:
-        """See Link."""
-        return self._link.send(data)
-
-    def fileno(self) -> int:
-        """See Link."""
-        return self._link.fileno()
-
-    def close(self) -> None:
-        """The link itself stays open."""
-
-
-def shared(link: Link, count: int) -> list[SharedLink]:
-    """A link's parts for so many vehicles."""
-    parts: list[SharedLink] = []
-    return [SharedLink(link, parts) for _ in range(count)]

@@ -107,7 +107,7 @@ def _place(draft: CourseDraft, route: WorldRoute, stretch: MapStretch, row: int,
         at_m = max(0.0, route_m - stretch.late_m)
         east_m, north_m, heading_rad = route.at(at_m, draft.home.lane_m + stretch.left_m)
     pose = east_m, north_m, heading_rad if stretch.headings else NAN
-    return place_at(row, route_m, pose, off_m, lon_shift_deg=draft.lon_shift_deg)
+    return place_at(row, route_m, pose, off_m)
 
 
 def place_at(
@@ -116,10 +116,9 @@ def place_at(
     pose: tuple[float, float, float],
     off_m: Array,
     sigma_m: float = MAP_SIGMA_M,
-    lon_shift_deg: float = 0.0,
 ) -> Place:
     """A place whose position is wrong by off_m, (2,) east and north; pose: meters east and north, and heading."""
     east_m, north_m, heading_rad = pose
-    lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1], lon_shift_deg)
+    lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1])
     known = row, lat_deg, lon_deg, ORIGIN_ALT_M, math.degrees(heading_rad) % 360, route_m
     return Place(*known, position_sigma_m=sigma_m, position_source="gps")

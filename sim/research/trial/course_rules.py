@@ -222,12 +222,6 @@ def warns(run: CourseRun) -> str:
     return "" if warned else "no warning"
 
 
-def warns_of_another(run: CourseRun) -> str:
-    """Within 30 s of the start, a warning says that another autopilot has the same ids."""
-    warned = (severity <= WARNING and "autopilot" in text for at_s, severity, text in run.texts if at_s <= WARNED_S)
-    return "" if any(warned) else "no warning"
-
-
 def first_in_time(run: CourseRun) -> str:
     """The first position comes within 6 s of the loss of GPS."""
     gps_lost_s = lost_s(run)

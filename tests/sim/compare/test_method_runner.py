@@ -15,7 +15,7 @@ from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.reference_map import MapSet, open_map
 from sim.compare.comparison import median_ahead, offset_warnings
-from sim.compare.matching import judge
+from sim.compare.matching import Matches, judge, judged_queries
 from sim.compare.method_runner import MethodRunner
 from sim.compare.plan import NetworkPlan, Pair, Plan, TraversePlan, load_plan
 from sim.compare.run import SHIPPED, Folders, open_runner
@@ -168,3 +168,33 @@ def test_a_traverse_that_ends_earlier_is_not_described_again(tmp_path: Path, wri
     assert np.array_equal(again, raw[:7])
     took_ms = [runner.descriptions.frame_ms(one, "grid", "left-right") for one in (whole, part)]
     assert took_ms[0] == took_ms[1]
+
+
+def test_a_query_of_unknown_position_is_not_judged_and_one_off_the_map_is() -> None:
+    errors = np.array([[0.0, 9.0], [np.nan, np.nan], [9.0, 0.0], [99.0, np.inf], [1.0, 8.0]])
+    assert judged_queries(errors, length=1).tolist() == [0, 2, 3, 4]
+    assert judged_queries(errors, length=3).tolist() == [2, 3, 4]
+    place = np.array([0, 0, 1, 0, -1])
+    matches = Matches(place, np.ones(5), np.zeros(5, np.bool_), np.zeros((5, 2), np.float32))
+    answers = judge(matches, errors, 2.0, np.array([0, 2, 3, 4]))
+    assert answers.has_truth.tolist() == [True, True, False, True]
+    assert answers.correct.tolist() == [True, True, False, False]
+
+
+def test_the_ten_best_places_are_put_in_the_order_of_their_inliers(shared: Path, tmp_path: Path) -> None:
+    """In a corridor, where a place is known within one frame: 25 of 40 by keypoints, 17 by descriptors."""
+    feeds, methods = shared / "feeds", ["NSD-single", "Keypoints"]
+    plan = Plan(
+        title="corridor",
+        methods=methods,
+        traverses={name: TraversePlan(feed=f"corridor_{name}", last_row=39) for name in ("reference", "query")},
+        pairs=[Pair("p", "reference", "query", "rows", tolerance=1.0, length=1)],
+        sampling=SamplingConfig(by="frames"),
+    )
+    runner = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path))
+    alone, by_inliers = (runner.run(plan.pairs[0], method) for method in methods)
+    np.testing.assert_array_equal(np.sort(by_inliers.matches.ranked), np.sort(alone.matches.ranked))
+    right = [int((outcome.error_of_best() <= 1.0).sum()) for outcome in (alone, by_inliers)]
+    assert right[1] > right[0] + 5
+    assert (by_inliers.matches.confidence == by_inliers.matches.confidence.round()).all()
+    assert by_inliers.frame_ms > alone.frame_ms

@@ -3,7 +3,6 @@ clock that are not as usual."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -53,12 +52,6 @@ def _autopilot_restarted(draft: CourseDraft, value: float) -> None:
     draft.restarted_s, draft.origin_off_m = value / 8.0, (0.0, 0.0)
     draft.steers = False
     draft.unsent = [(value - 20.0, value + CONFIRMED_M)]
-
-
-@course("E", "second-autopilot", rules=(*rule.HONEST, rule.warns_of_another))
-def _second_autopilot(draft: CourseDraft) -> None:
-    """Another vehicle ahead, on the same radio, has the same ids: a warning must say so."""
-    draft.has_double, draft.steers = True, False
 
 
 @course("E", "another-companion", rules=rule.HONEST)
@@ -127,13 +120,6 @@ def _irregular(draft: CourseDraft) -> None:
 def _no_headings(draft: CourseDraft) -> None:
     """A map whose places have no heading."""
     draft.map = [replace(draft.map[0], headings=False)]
-
-
-@course("F", "antimeridian", rules=(*rule.USUAL, rule.sends))
-def _antimeridian(draft: CourseDraft) -> None:
-    """The road crosses 180 degrees."""
-    middle_lon_deg = np.degrees(draft.way.at(draft.way.length_m / 2)[0] / (6378137.0 * math.cos(math.radians(27.4772))))
-    draft.lon_shift_deg = float(180.0 - 153.0283 - middle_lon_deg)
 
 
 @course("F", "clock-wrap", rules=(*rule.USUAL, rule.resumes))

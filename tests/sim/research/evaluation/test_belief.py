@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig
 from edge.sequence import DeadReckoningPosition
+from sim.evaluation.metrics import Answers
+from sim.research.evaluation.__main__ import main
+from sim.research.evaluation.reliability import Confidences, rows_of
 from sim.research.evaluation.roads import Cut, DriveDescriptors, believe, judge, kept
 
 PLACES, SPACING_M = 220, 2.0
@@ -83,3 +87,25 @@ def test_a_cut_map_keeps_what_its_name_says() -> None:
     assert kept("first half", 9) == [(0, 4)]
     assert kept("second half", 9) == [(4, 9)]
     assert kept("thirds", 9) == [(0, 3), (6, 9)]
+
+
+def test_frames_on_the_map_count_as_much_as_all_off_it() -> None:
+    on_map = np.array([True, True, True, True, False])
+    mapped = Answers(np.array([0.55, 0.55, 0.55, 0.95, 0.55]), np.array([True, True, False, True, False]), on_map)
+    claims = Confidences.of(mapped, np.array([0.0, 0.0, 0.55, np.nan]))
+    tenths = list(claims.tenths())
+    # Three of four on the map, of which two are right, and two of five off it.
+    assert tenths[5][1:] == pytest.approx((0.55, 2 / 4 / (3 / 4 + 2 / 5)))
+    assert tenths[9][1:] == pytest.approx((0.95, 1.0))
+    assert [count for count, _, _ in tenths] == [0, 0, 0, 0, 0, 5, 0, 0, 0, 1]
+    rows = list(rows_of({"roads": claims}))
+    assert rows[2:] == ["| 0.7 to 0.8 | - |", "| 0.8 to 0.9 | - |", "| 0.9 to 1.0 | 1, 0.95, 1.00 |"]
+
+
+def test_a_table_goes_between_its_marks(tmp_path: Path) -> None:
+    made, page = tmp_path / "made.md", tmp_path / "page.md"
+    made.write_text("| a |\n|---|\n", encoding="utf-8")
+    page.write_text("Before.\n<!-- benchmark: begin -->\nold\n<!-- benchmark: end -->\nAfter.\n", encoding="utf-8")
+    main(["benchmark", "--made", str(made), "--page", str(page)])
+    table = "<!-- benchmark: begin -->\n\n| a |\n|---|\n\n<!-- benchmark: end -->"
+    assert page.read_text(encoding="utf-8") == f"Before.\n{table}\nAfter.\n"
