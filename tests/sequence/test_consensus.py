@@ -175,9 +175,8 @@ def test_a_drive_that_is_unlike_all_others_does_not_outweigh_them() -> None:
 
 def test_matches_that_places_elsewhere_equal_are_never_believed() -> None:
     """On a street whose houses repeat: a mean uniqueness of 1.03 to 1.05, for 300 m; on others from 1.09."""
-    for uniqueness, is_believed in ((1.03, False), (1.05, False), (1.09, True)):
-        belief = _last(_drive(PlaceConsensus(SETTINGS), _right(100.0, 150, replace(STRONG, uniqueness=uniqueness))))
-        assert belief.is_believed == is_believed
+    votes = (_right(100.0, 150, replace(STRONG, uniqueness=one)) for one in (1.03, 1.05, 1.09))
+    assert [_last(_drive(PlaceConsensus(SETTINGS), one)).is_believed for one in votes] == [False, False, True]
 
 
 @pytest.mark.parametrize("what", ["go elsewhere", "are unlike", "stay at the end of the drive"])

@@ -15,7 +15,18 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, cameras, capture, facing, lengths, lines, pairs, poses, reliability
+from sim.research.evaluation import (
+    belief,
+    cameras,
+    capture,
+    corruptions,
+    facing,
+    lengths,
+    lines,
+    pairs,
+    poses,
+    reliability,
+)
 from sim.research.trial.table import put_between
 
 
@@ -56,6 +67,7 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
     "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),
     "cameras": (cameras.rows, (*ROADS, "light")),
+    "corruptions": (corruptions.rows, (*ROADS, "light")),
     "capture": (capture.rows, (*ROADS, "light")),
     "keyframes": (poses.keyframes_on_map, (*ROADS, "light", "draws", *MOUNTS)),
     "streets": (poses.keyframes_on_streets, (*ROADS, "draws", *MOUNTS)),
