@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -86,10 +87,12 @@ def config_as_mapped(header: MapHeader) -> Config:
     return Config(descriptor=descriptor, sampling=header.sampling)
 
 
-def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False) -> Iterator[TraverseFrame]:
+def traverse(
+    feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False, faults: Counter[str] | None = None
+) -> Iterator[TraverseFrame]:
     """The chosen frames in order, without those whose images show nothing or do not move while the vehicle does.
 
-    Unreadable images are skipped, each with a line in the log.
+    Unreadable images are skipped, each with a line in the log. faults: counts the others by what the daemon says.
 
     FeedError if `must_have_distance` and neither distance_m nor positions are in every row.
     """
@@ -111,6 +114,8 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
             fault = detector.check(image, row.stamp_ns, speeds_mps[index])
             if fault is not None:
                 was_blind |= fault.sure
+                if faults is not None:
+                    faults[fault.what] += 1
                 continue
             distance_m = distances_m[index] if distances_m else None
             if sampler.is_place(row.stamp_ns, distance_m):
@@ -127,15 +132,13 @@ def _speeds_mps(feed: Feed) -> list[float]:
     stamps_s, driven = [row.stamp_ns / 1e9 for row in feed.rows], driven_m(feed)
     if driven is None or len(driven) < 2:
         return [0.0] * len(feed.rows)
-    speeds: list[float] = (np.diff(driven) / np.maximum(np.diff(stamps_s), 1e-3)).tolist()
-    return [0.0, *speeds]
+    return [0.0, *(np.diff(driven) / np.maximum(np.diff(stamps_s), 1e-3)).tolist()]
 
 
 def _ground_m(feed: Feed) -> list[list[float]]:
     """Meters east and north of each row, NaN where it has no position."""
     degrees = [(row.lat_deg, row.lon_deg) for row in feed.rows]
-    lat_deg, lon_deg = np.array(degrees, dtype=np.float64).reshape(-1, 2).T
-    found: list[list[float]] = east_north(lat_deg, lon_deg).tolist()
+    found: list[list[float]] = east_north(*np.array(degrees, dtype=np.float64).reshape(-1, 2).T).tolist()
     return found
 
 
@@ -187,8 +190,7 @@ def driven_m(feed: Feed) -> list[float] | None:
     positions = [(row.lat_deg, row.lon_deg) for row in feed.rows if row.lat_deg is not None and row.lon_deg is not None]
     if len(positions) < len(feed.rows):
         return None
-    lat_deg, lon_deg = np.array(positions).T
-    steps = np.diff(east_north(lat_deg, lon_deg), axis=0)
+    steps = np.diff(east_north(*np.array(positions).T), axis=0)
     return [0.0, *np.hypot(*steps.T).cumsum().tolist()]
 
 

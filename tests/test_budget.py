@@ -45,7 +45,7 @@ ROOMS = {
     "sim/coverage": 800,
     "sim/datasets": 2500,
     "sim/demo": 200,
-    "sim/evaluation": 750,
+    "sim/evaluation": 850,
     "sim/first_try": 650,
     "sim/home": 150,
     "sim/maps": 1200,

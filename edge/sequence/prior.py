@@ -55,6 +55,8 @@ class Prior:
         self._along_m, cross_m = math.hypot(sigma_m, ALONG_M), math.hypot(sigma_m, CROSS_TRACK_M)
         self._mean = self.road = 1.0
         """How much more likely the position is on the map's roads than beside them."""
+        self.excludes_elsewhere = sigma_m <= ALONG_M
+        """Whether it tells a place from those beyond its surroundings ([acceptance] window_m), which may look alike."""
         if squares_m2.size:
             some = squares_m2[:: max(1, len(squares_m2) // MEAN_OF)]
             self._mean = float(likelihood(some, self._along_m).mean())

@@ -11,6 +11,7 @@ import edge
 from edge.errors import ConfigError
 from edge.feed import read_feed
 from edge.reference_map import open_map_set
+from sim.evaluation.corruption import KINDS, Corruption
 from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, RecognitionScore, Value, judge, recognize
 from sim.evaluation.replay import load_config_for_map
@@ -31,6 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--map", type=Path, required=True, help="a map, or a folder of maps")
     parser.add_argument("--config", type=Path, help="settings of the recognizer (default: those of the map)")
     add_tolerance_option(parser)
+    about = f"also with worse pictures, and what the daemon says of its camera: {', '.join(KINDS)}; severity 1 to 5"
+    parser.add_argument("--corrupt", action="append", default=[], metavar="NAME:SEVERITY", help=about)
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write report.html, table and curves there")
     parser.set_defaults(run=_run)
 
@@ -47,11 +50,15 @@ def _run(args: argparse.Namespace) -> int:
     maps = open_map_set(args.map)
     made = maps.headers[0]
     config = load_config_for_map(args.config, made) if args.config else config_as_mapped(made)
-    seen = (recognize(maps, read_feed(path), config) for path in args.feeds)
-    judged = [judge(maps, one, args.tolerance_m) for one in seen]
-    rows = [one.row() for one in judged]
-    cells = [COLUMNS, *(list(map(_cell, row, COLUMNS)) for row in rows)]
-    widths = [max(len(line[column]) for line in cells) for column in range(len(COLUMNS))]
+    corruptions = [Corruption.parse(one) for one in args.corrupt]
+    feeds = [worse for feed in map(read_feed, args.feeds) for worse in (feed, *(one.feed(feed) for one in corruptions))]
+    judged, rows, columns = [], [], (*COLUMNS, "camera")[: None if corruptions else -1]
+    for feed in feeds:
+        seen = recognize(maps, feed, config)
+        judged.append(judge(maps, seen, args.tolerance_m))
+        rows.append((*judged[-1].row(), seen.camera)[: len(columns)])
+    cells = [columns, *(list(map(_cell, row, columns)) for row in rows)]
+    widths = [max(len(line[column]) for line in cells) for column in range(len(columns))]
     for line in cells:
         print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
     for one in judged:
@@ -69,7 +76,7 @@ def _run(args: argparse.Namespace) -> int:
             "map": f"{args.map}, {maps.index.places} places",
             "model": f"{maps.headers[0].model.name}, sha256 {maps.headers[0].model.sha256}",
         }
-        print(_write(args.output, about, args.map, judged, rows), file=sys.stderr)
+        print(_write(args.output, about, args.map, judged, columns, rows), file=sys.stderr)
     return 0
 
 
@@ -82,6 +89,7 @@ def _write(
     about: Mapping[str, str],
     map_path: Path,
     judged: Sequence[RecognitionScore],
+    columns: tuple[str, ...],
     rows: Sequence[tuple[Value, ...]],
 ) -> Path:
     with needing("--output", "sim"):
@@ -90,7 +98,7 @@ def _write(
     plot = report.Figure(
         "precision_recall", "Precision and recall at every confidence", figures.precision_recall_plot(curves)
     )
-    table = report.Table("recordings", "In numbers", COLUMNS, rows)
+    table = report.Table("recordings", "In numbers", columns, rows)
     section = report.ReportSection("Recordings", tables=[table], figures=[plot])
     lead = [
         f"{one.name}: {int(one.believed.sum())} of {len(one.believed)} frames accepted, precision {one.precision:.3f},"

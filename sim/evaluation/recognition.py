@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,8 @@ class Recognition:
 
     states: of the recognizer, after each frame. costs: (Q, N) cosine distance of each frame from each place, the better
     of the region orders; (Q, 0) where the map has more than DRAWN_PLACES places. keyframes: the keyframe match of each
-    frame with the place that is believed, None where it has none or was not verified.
+    frame with the place that is believed, None where it has none or was not verified. faults: frames that show nothing,
+    or do not move, by what the daemon says of its camera.
     """
 
     feed: Feed
@@ -46,6 +48,12 @@ class Recognition:
     states: list[State]
     costs: NDArray[np.float32]
     keyframes: Sequence[KeyframeMatch | None] = ()
+    faults: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def camera(self) -> str:
+        """What the daemon says of its camera, each with the share of all frames."""
+        return ", ".join(f"{what} {n / len(self.feed.rows):.2f}" for what, n in self.faults.most_common()) or "-"
 
     @property
     def believed(self) -> NDArray[np.bool_]:
@@ -65,16 +73,16 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
     used: list[FrameUsed] = []
     states: list[State] = []
     keyframes: list[KeyframeMatch | None] = []
-    costs = []
-    for one, match in replay(recognizer, feed, config.sampling):
+    costs, faults = [], Counter[str]()
+    for one, match in replay(recognizer, feed, config.sampling, faults):
         used.append(one)
         keyframes.append(match.seen if match is not None and match.accepted else None)
         states.append(recognizer.state)
         newest = search.newest_costs.min(axis=0) / np.float32(COST_ONE)
         costs.append(newest if len(newest) == places else np.full(places, np.nan, np.float32))
-    if not used:
+    if not used and not faults:
         raise FeedError(f"{feed.path}: none of its pictures can be read")
-    return Recognition(feed, used, states, np.array(costs, dtype=np.float32), keyframes)
+    return Recognition(feed, used, states, np.array(costs, dtype=np.float32), keyframes, faults)
 
 
 @dataclass(frozen=True)
@@ -127,7 +135,7 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> RecognitionSco
     """Compare the answers with known positions. FeedError, MapError where there are none."""
     feed = seen.feed
     truth = [(feed.rows[one.frame].lat_deg, feed.rows[one.frame].lon_deg) for one in seen.used]
-    if all(lat_deg is None for lat_deg, _ in truth):
+    if truth and all(lat_deg is None for lat_deg, _ in truth):
         raise FeedError(f"{feed.path}: no frame that is used has lat_deg and lon_deg, so nothing can be judged")
     places_deg = np.column_stack([maps.places["lat_deg"], maps.places["lon_deg"]])
     are_local = bool((maps.places["position_source"] == POSITION_SOURCES.index("local")).any())
@@ -138,14 +146,14 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> RecognitionSco
         raise MapError("no place of the map has a position, so nothing can be judged")
     is_known = [one.place is None or one.lat_deg is not None for one in seen.used]
     rows = np.flatnonzero([here is not None and known for (here, _), known in zip(truth, is_known, strict=True)])
-    if not rows.size:
+    if truth and not rows.size:
         raise MapError("no place that a frame with a position is matched to has one, so nothing can be judged")
     used = [seen.used[row] for row in rows]
-    truth_deg = np.array([truth[row] for row in rows], dtype=float)
-    found_deg = np.array([(one.lat_deg, one.lon_deg) for one in used], dtype=float)  # None becomes NaN
+    truth_deg = np.array([truth[row] for row in rows], dtype=float).reshape(-1, 2)
+    found_deg = np.array([(one.lat_deg, one.lon_deg) for one in used], dtype=float).reshape(-1, 2)  # None becomes NaN
     east_north_m = east_north(*np.concatenate([truth_deg, found_deg, places_deg]).T)
     truth_m, found_m, places_m = np.split(east_north_m, [len(used), 2 * len(used)])
-    on_map = np.array([np.hypot(*(places_m - one).T).min() <= tolerance_m for one in truth_m])
+    on_map = np.array([np.hypot(*(places_m - one).T).min() <= tolerance_m for one in truth_m], dtype=bool)
     error_m = np.hypot(*(found_m - truth_m).T)
     confidence = np.array([one.confidence for one in used], dtype=float)
     believed = seen.believed[rows]

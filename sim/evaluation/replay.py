@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
@@ -50,14 +51,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def replay(
-    recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig
+    recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig, faults: Counter[str] | None = None
 ) -> Iterator[tuple[FrameUsed, PlaceMatch | None]]:
-    """Each used frame of the feed and its match, in order. MapError for a map that is damaged, if there is no other."""
+    """Each used frame of the feed and its match, in order. MapError for a map that is damaged, if there is no other.
+
+    faults: see `traverse`.
+    """
     checksums = recognizer.map_set.checksum_schedule()
     while _exclude_damaged(recognizer, checksums, recognizer.matcher.search.folders_in_use):
         pass
     route = Route(recognizer.map_set)
-    for item in traverse(feed, sampling):
+    for item in traverse(feed, sampling, faults=faults):
         match = item.match(recognizer)
         if match is not None and match.accepted:
             behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence_frames)

@@ -173,6 +173,12 @@ def test_a_drive_that_is_unlike_all_others_does_not_outweigh_them() -> None:
     assert belief.is_believed
 
 
+def test_matches_that_places_elsewhere_equal_are_never_believed() -> None:
+    """On a street whose houses repeat: a mean uniqueness of 1.03 to 1.05, for 300 m; on others from 1.09."""
+    votes = (_right(100.0, 150, replace(STRONG, uniqueness=one)) for one in (1.03, 1.05, 1.09))
+    assert [_last(_drive(PlaceConsensus(SETTINGS), one)).is_believed for one in votes] == [False, False, True]
+
+
 @pytest.mark.parametrize("what", ["go elsewhere", "are unlike", "stay at the end of the drive"])
 def test_belief_ends_where_matches_speak_for_it_no_longer(what: str) -> None:
     """The drive ends at 1,000 m."""

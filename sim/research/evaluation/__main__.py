@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, cameras, capture, keyframes, poses, reliability
+from sim.research.evaluation import belief, cameras, capture, corruptions, keyframes, poses, reliability
 from sim.research.evaluation import structure as shape
 from sim.research.trial.table import put_between
 
@@ -53,6 +53,7 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "poses": (poses.rows, ROADS),
     "capture": (capture.rows, ROADS),
     "cameras": (cameras.rows, ROADS),
+    "corruptions": (corruptions.rows, ROADS),
     "keyframes": (keyframes.on_map, (*ROADS, "draws")),
     "streets": (keyframes.on_streets, ROADS),
     "off-map": (keyframes.off_map, ("seeds", "cache")),

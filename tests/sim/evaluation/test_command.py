@@ -51,6 +51,17 @@ def test_the_numbers_are_those_of_replay(
     assert {path.name for path in report.iterdir()} == {"report.html", "recordings.csv", "precision_recall.png"}
 
 
+def test_worse_pictures_are_recognized_or_the_camera_is_said_to_show_nothing(
+    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["eval", str(write_traverse(tmp_path / "again", range(65))), "--map", str(street_map), "--corrupt"]
+    assert main([*words, "rain:3", "--corrupt", "mud:3", "--corrupt", "dark:5"]) == 0
+    rows = [[one.strip() for one in row.split("  ") if one] for row in capsys.readouterr().out.splitlines()[1:]]
+    assert [(row[3], row[-1], float(row[4]) > 0.6) for row in rows[:3]] == [("1.000", "-", True)] * 3
+    assert rows[3][0] == "again, dark:5" and rows[3][4:] == ["0.000"] * 3 + ["nan"] * 2 + ["the image is dark 0.83"]
+    assert main([*words, "rain"]) == 78
+
+
 def test_a_single_picture_is_placed_by_its_inliers(
     street_map: Path,
     plain_map: Path,
