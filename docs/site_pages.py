@@ -27,9 +27,9 @@ OUTSIDE = re.compile(
 FIGURE = re.compile(r"^```mermaid\n%% (pictures/\w+\.svg): (.*)\n(?:.*\n)*?```$", re.MULTILINE)
 """Its picture, and what that shows."""
 FRONT = {
-    "page_home_night.png": "the live page, on the way home",
-    "report.webp": "<code>lookback try</code>: what is recognized, and why not",
-    "coverage.webp": "<code>lookback map coverage</code>: where the next drive will be",
+    "pictures/page_home_night.png": "the live page, on the way home",
+    "pictures/report.webp": "<code>lookback try</code>: what is recognized, and why not",
+    "pictures/coverage.webp": "<code>lookback map coverage</code>: where the next drive will be",
 }
 """Pictures of the first page beside that of the drive, which README has, and their words."""
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
@@ -46,7 +46,7 @@ def on_files(files: Files, config: Any) -> Files:
     """README as the first page, without badges, which are loaded from elsewhere."""
     text = BADGE.sub("", (ROOT / "README.md").read_text(encoding="utf-8"))
     shown = "".join(
-        f'<figure><img src="pictures/{name}" alt="{name}"><figcaption>{words}</figcaption></figure>\n'
+        f'<figure><img src="{name}" alt=""><figcaption>{words}</figcaption></figure>\n'
         for name, words in FRONT.items()
     )
     pictures = f'<div class="pictures">\n{shown}</div>\n\n- **Beside its lane**'

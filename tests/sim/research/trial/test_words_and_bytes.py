@@ -77,8 +77,8 @@ class Reader:
             assert newest_s is not None and now_s - newest_s <= CONFIRMED_NS / S + FOLLOWED_S
         fixes = [good for at_s, good in self._fixes if now_s - 8.0 <= at_s <= now_s]
         if link.state == "up" and len(fixes) > 3 and len(set(fixes)) == 1:  # for some seconds
-            assert (state.gps == "lost") == (not fixes[0]), f"{now_s:.1f} s: {state}"
-            assert state.by != "GPS" or fixes[0]
+            assert fixes[0] or (state.gps in ("lost", "unknown") and state.by != "GPS"), f"{now_s:.1f} s: {state}"
+            assert not fixes[0] or state.gps != "lost", f"{now_s:.1f} s: {state}"
 
     def _check_metrics(self, link: LinkStatus) -> None:
         status: Any = SimpleNamespace(link=link, stamp_ns=0, beside_lane_m=None)
