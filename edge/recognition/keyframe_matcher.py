@@ -212,10 +212,8 @@ class KeyframeMatcher:
         """The match at a place that keyframe matches alone believe."""
         place_index = self._drives.nearest(belief.drive, belief.along_m) if seen is None else seen.place_index
         name, row = self._map_set.locate(place_index)
-        match = PlaceMatch(
-            place_index, row, belief.direction, "same", slope=0.0, distance=0.0, uniqueness=1.0, map=name
-        )
-        return replace(match, confidence=belief.confidence, accepted=True, seen=seen, has_line=False)
+        match = PlaceMatch(place_index, row, belief.direction, "same", slope=0.0, distance=0.0, uniqueness=1.0)
+        return replace(match, map=name, confidence=belief.confidence, accepted=True, seen=seen, has_line=False)
 
     def _is_one_place(self, one: PlaceBelief, other: PlaceBelief, slack_m: float) -> bool:
         """Whether two beliefs differ by no more than two votes may."""

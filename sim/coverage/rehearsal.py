@@ -96,6 +96,8 @@ BY_KEYPOINTS: dict[tuple[Way, LightName], tuple[float, float, float]] = {
 }
 """Meters until a place is believed (median, 90 %), and the share of the frames then: the table of docs/keypoints.md,
 where both cameras look the same way, with those of dusk for the day. Home by rain was not measured."""
+BESIDE_M = 6.0
+"""To which 0.87 to 0.89 of the frames have a pose there (docs/tables/keypoints.md)."""
 QUANTILE_90, LOST_M = 1.2816, 200.0
 """Of the normal distribution; and the meters without a pose after which the daemon searches anew."""
 
@@ -120,7 +122,7 @@ class Rehearsal:
         )
         self._drives = Drives(maps, config.sampling.spacing_m)
         self._mean, self._deviation = maps.statistics()
-        self._has_points: dict[int, NDArray[np.bool_]] = {}
+        self._has_points = has_points(maps)
 
     def drive(self, seed: int) -> list[Pass]:
         """One drive: its pass over each segment, in the order of driving."""
@@ -231,21 +233,9 @@ class Rehearsal:
             match = matcher.push(raw, MotionPrior(now_m, course_rad=turn_around.course_rad))
             believed[at] = match is not None and match.accepted and self._is_right(match, segment, along_m[at])
         figures = figures_of(self._conditions)
-        if figures and self.look_alike(segment) and (has_points := self._points_of(segment)).any():
-            believed |= by_keypoints(has_points[:: -1 if self._conditions.way == "home" else 1], along_m, figures, rng)
+        if figures and self.look_alike(segment):
+            believed |= by_keypoints(self._has_points[self._rows(segment)], along_m, figures, rng)
         return Pass(segment, along_m, believed)
-
-    def _points_of(self, segment: int) -> NDArray[np.bool_]:
-        """Whether a pose can be computed from each of its places."""
-        if segment not in self._has_points:
-            start, end = self._maps.index.segment(segment)
-            self._has_points[segment] = found = np.zeros(end - start, dtype=bool)
-            for row in range(start, end):
-                number = self._maps.index.map_of(row)
-                if (records := self._maps.maps[number].keypoints) is not None:
-                    sigmas = records[row - self._maps.index.starts[number]]["sigma"]
-                    found[row - start] = np.isfinite(sigmas).sum() >= FEWEST_POINTS
-        return self._has_points[segment]
 
     def _is_right(self, match: PlaceMatch, segment: int, along_m: float) -> bool:
         is_here = self._drives.drive_of(match.place_index) == segment
@@ -265,8 +255,19 @@ def spell_coverage(maps: MapSet, conditions: Conditions) -> list[str]:
     if all((view != conditions.view) != (way == "home") for view in views):
         return ["Without keypoints: they need a camera that looks the way the map's did."]
     if figures_of(conditions):
-        return [f"With keypoints, as measured on simulated roads {way} by {conditions.light}."]
+        words = f"to {BESIDE_M:g} m beside the lane at {100 * has_points(maps).mean():.0f} % of the places"
+        return [f"With keypoints, as measured on simulated roads {way} by {conditions.light}: poses come {words}."]
     return [f"Without keypoints: {way} by {conditions.light} they were not measured."]
+
+
+def has_points(maps: MapSet) -> NDArray[np.bool_]:
+    """Whether a pose can be computed from each place (N,)."""
+    found = np.zeros(maps.index.places, dtype=bool)
+    for start, one in zip(maps.index.starts, maps.maps, strict=False):
+        if one.keypoints is not None:
+            enough = np.isfinite(one.keypoints["sigma"]).sum(axis=1) >= FEWEST_POINTS
+            found[start : start + len(enough)] = enough
+    return found
 
 
 def by_keypoints(

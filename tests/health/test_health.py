@@ -22,7 +22,6 @@ WELL = HealthInputs(recognizer="on the map", frames_used=50)
         ({"frames_used": 0}, "starting", "no picture has been used yet"),
         ({"frames_used": 0, "camera": "opening"}, "starting", "no picture has been used yet"),
         ({"withheld": "GPS is healthy"}, "on the map", "no position: GPS is healthy"),
-        ({"no_pose_m": 39.0, "right_m": -4.2}, "on the map", ""),
         ({"no_pose_m": 99.0, "right_m": -4.2}, "on the map", "no pose for 40 m, before 4.2 m left of the map's lane"),
         (
             {"recognizer": "off the map", "off_m": 60.0, "journal": "x", "no_pose_m": 100.0, "right_m": 0.3},

@@ -272,7 +272,8 @@ def test_where_it_is_reckoned_every_frame_is_verified_by_the_drives_beside_as_we
 
 
 def test_a_position_by_gps_is_a_place_to_try_as_far_as_its_sigma_goes(maps: Path) -> None:
-    map_set, drive, row = MapSet.of(open_map(maps / "street")), Film("home_night", 60), Film("home_night", 60).rows[0]
+    map_set, drive = MapSet.of(open_map(maps / "street")), Film("home_night", 60)
+    row = drive.rows[0]
     assert row.lat_deg is not None and row.lon_deg is not None
     for off_m, sigma_m, is_seen in ((0.0, 2.5, True), (9.0, 6.0, True), (0.0, 20.0, False), (120.0, 2.5, False)):
         matcher = KeyframeMatcher(map_set, Drives(map_set, 2.0), CONFIG)
