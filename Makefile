@@ -34,7 +34,7 @@ demo: $(VENV)/.demo
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(CHANGED_TESTS)
 	@echo "Not run, since they take long and seldom fail alone: most courses of the trial, rendered goldens, commands of the"
-	@echo "docs, installation, kills, a day, other processors. make test-long runs them, make check everything."
+	@echo "docs, figures on recordings, installation, kills, a day, other processors. make test-long runs them, make check everything."
 
 test-long: $(VENV)/.dev
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m 'long and not soak'

@@ -12,26 +12,15 @@ import pytest
 from edge.__main__ import main
 
 
+def corridor(shared: Path, path: Path) -> Path:
+    feed = str(shared / "feeds/corridor_reference")
+    assert main(["map", "build", feed, "-o", str(path), "--spacing-frames", "1"]) == 0
+    return path
+
+
 @pytest.fixture(scope="module")
 def corridor_map(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("maps") / "corridor.map"
-    assert (
-        main(["map", "build", str(shared / "feeds/corridor_reference"), "-o", str(path), "--spacing-frames", "1"]) == 0
-    )
-    return path
-
-
-@pytest.fixture(scope="module")
-def corridor_lines(shared: Path, corridor_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a replay writes of each frame of the corridor."""
-    path = tmp_path_factory.mktemp("replayed") / "lines.jsonl"
-    assert main(replay_all(shared, corridor_map, path)) == 0
-    return path
-
-
-def replay_all(shared: Path, corridor_map: Path, output: Path) -> list[str]:
-    query, path = str(shared / "feeds/corridor_query"), str(corridor_map)
-    return ["replay", query, "--map", path, "--sequence-length", "20", "--all", "-o", str(output)]
+    return corridor(shared, tmp_path_factory.mktemp("maps") / "corridor.map")
 
 
 def replayed(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[str, Any]]:
@@ -40,9 +29,11 @@ def replayed(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[s
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-def test_corridor(shared: Path, corridor_map: Path, corridor_lines: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    query = str(shared / "feeds/corridor_query")
-    lines = [json.loads(line) for line in corridor_lines.read_text(encoding="utf-8").splitlines()]
+def test_corridor(shared: Path, corridor_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query, output = str(shared / "feeds/corridor_query"), tmp_path / "lines.jsonl"
+    replay = [query, "--map", str(corridor_map), "--sequence-length", "20"]
+    assert main(["replay", *replay, "--all", "-o", str(output)]) == 0
+    lines = [json.loads(line) for line in output.read_text(encoding="utf-8").splitlines()]
     assert [line["frame"] for line in lines] == list(range(111))
     assert all(line["place"] is None for line in lines[:15])
     right = [abs(line["place"] - line["frame"]) <= 3 for line in lines[15:]]
@@ -50,18 +41,13 @@ def test_corridor(shared: Path, corridor_map: Path, corridor_lines: Path, capsys
     assert all(right[row] for row, line in enumerate(lines[15:]) if line["accepted"])
     assert sum(line["accepted"] for line in lines) >= 0.7 * len(right)
     assert {(line["direction"], line["order"]) for line in lines[15:]} == {("forward", "same")}
-    events = replayed(capsys, query, "--map", str(corridor_map), "--sequence-length", "20")
-    assert events == [line for line in lines if line["emitted"]]
+    events = replayed(capsys, *replay)
+    assert events == [line for line in lines if line["emitted"]], "from run to run"
     assert len(events) >= 10
 
 
-def test_the_same_bytes_from_run_to_run(shared: Path, corridor_map: Path, corridor_lines: Path, tmp_path: Path) -> None:
-    assert main(replay_all(shared, corridor_map, tmp_path / "lines.jsonl")) == 0
-    assert (tmp_path / "lines.jsonl").read_bytes() == corridor_lines.read_bytes()
-    again = tmp_path / "again.map"
-    assert (
-        main(["map", "build", str(shared / "feeds/corridor_reference"), "-o", str(again), "--spacing-frames", "1"]) == 0
-    )
+def test_the_same_bytes_from_run_to_run(shared: Path, corridor_map: Path, tmp_path: Path) -> None:
+    again = corridor(shared, tmp_path / "again.map")
     for file in corridor_map.iterdir():
         assert file.read_bytes() == (again / file.name).read_bytes()
 

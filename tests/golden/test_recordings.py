@@ -36,12 +36,15 @@ APART_M, METERS_A_DEGREE = 0.5, 110_574.0
 differently in the last bits: positions were up to 0.08 m apart, all that was decided was equal."""
 
 
+HELD_ELSEWHERE = {"folder_of_maps", "tiles"}
+"""By test_map_folders: that such maps answer as the whole one does."""
+REPLAYED = [pytest.param(one, marks=[pytest.mark.long] * (one.name in HELD_ELSEWHERE)) for one in cases("replay")]
 RENDERED = [pytest.param(folder, marks=pytest.mark.long) for folder in cases("drives")]
 """Rendered and described anew: four in five of the seconds that all goldens take."""
 
 
 @pytest.mark.parametrize(
-    "folder", [*cases("replay"), *cases("run"), *RENDERED], ids=lambda folder: f"{folder.parent.name}-{folder.name}"
+    "folder", [*REPLAYED, *cases("run"), *RENDERED], ids=lambda folder: f"{folder.parent.name}-{folder.name}"
 )
 def test_the_outputs_are_what_they_were(
     folder: Path, scratch: Path, network: MemoizingNetwork, golden_run: Callable[[Path], Path]

@@ -61,7 +61,6 @@ def calibrate(*words: object) -> int:
     [
         (88.0, 0.0),
         pytest.param(70.0, 0.0, marks=pytest.mark.long),
-        pytest.param(90.0, 0.0, marks=pytest.mark.long),
         pytest.param(80.0, -0.15, marks=pytest.mark.long),
     ],
 )

@@ -124,6 +124,7 @@ def test_lines_run_as_the_query_is_known_to_pass_the_reference(tmp_path: Path, w
             assert (outcome.answers.correct.mean() > 0.8) == correct
 
 
+@pytest.mark.long  # methods on recordings: what fails there alone is a figure
 def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     plan = load_plan(SHIPPED / "real_front_rear.toml")
     plan = msgspec.structs.replace(plan, networks={"fc6": NetworkPlan(model="fc6")})
@@ -134,6 +135,7 @@ def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     assert outcome.answers.correct.mean() > 0.4  # a guess is right in 0.05
 
 
+@pytest.mark.long
 def test_with_an_odometer_a_third_of_real_streets_is_accepted_and_nothing_wrong(shared: Path, tmp_path: Path) -> None:
     """Also on the map of all others, where no place is right; docs/back-to-back.md has the figures."""
     plan = load_plan(SHIPPED / "real_front_rear_odometer.toml")

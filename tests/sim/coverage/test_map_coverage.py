@@ -283,6 +283,7 @@ def test_a_page_of_the_route(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "/none/route.html: cannot write it: No such file" in capsys.readouterr().err
 
 
+@pytest.mark.long  # it judges the figures of the prediction, on recordings; its parts are tested above
 def test_a_real_corridor_is_predicted(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The prediction knows the map alone; what is found is a second recording of the corridor."""
     corridor, journal = tmp_path / "corridor", tmp_path / "journal.jsonl"

@@ -80,16 +80,8 @@ def test_two_videos_with_their_tracks(
     reference = as_video(out, tmp_path / "out.avi")
     reference.with_suffix(".gpx").rename(tmp_path / "track.gpx")
     query = as_video(write_traverse(tmp_path / "again", range(65), noise=8.0), tmp_path / "query.avi", 2.0)
-    options = [
-        "--reference-positions",
-        str(tmp_path / "track.gpx"),
-        "--reference-offset-s",
-        "0",
-        "--query-offset-s",
-        "-2",
-        "--fov-deg",
-        "70",
-    ]
+    options = ["--reference-offset-s", "0", "--query-offset-s", "-2", "--fov-deg", "70", "--reference-positions"]
+    options.append(str(tmp_path / "track.gpx"))
     assert main(["try", str(reference), str(query), "-o", str(tmp_path / "tried"), *options]) == 0
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed, printed
@@ -100,6 +92,7 @@ def test_two_videos_with_their_tracks(
     assert feed.rows[0].lat_deg == pytest.approx(-27.0 + 20 / 110_800)
 
 
+@pytest.mark.long  # a whole try more, for one line of the verdict
 def test_where_gps_had_a_gap_nothing_is_right_or_wrong(
     write_traverse: WriteTraverse, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,7 @@ def test_a_try_shows_both_and_how_far_single_pictures_are_off(
     assert "The sequence alone, and with keypoints" in page and off[0] in page
 
 
+@pytest.mark.long  # a whole try more, for one line of the verdict
 def test_any_video_has_keypoints_and_a_try_says_what_its_field_of_view_would_be_worth(
     drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
