@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections import Counter
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -54,27 +56,28 @@ class Reader:
         self._fixes = [(one.time_s, one.message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX) for one in own]
         self.states: list[Steering] = []
         self._playback: Playback | None = None
-        self._due_s, self._before = 0.0, LinkStatus("", "", "")
+        self._due_s, self._read = 0.0, 0
 
     def __call__(self, daemon: Daemon, playback: Playback) -> None:
-        now_s, link = playback.now_ns / 1e9, daemon.parts.autopilot.status()
-        if playback is not self._playback:
-            self._playback, self._before = playback, link
-        heard = [(at_s, one) for at_s, one in playback.received if is_position(one)]
-        counts = {name: sum(one.get_type() == name for _, one in heard) for name in CARRIERS}
-        for name, count in counts.items():  # what has left in this turn arrives in the next one
-            assert self._before.sent.get(name, 0) <= count <= link.sent.get(name, 0)
-        self._before = link
-        if now_s < self._due_s:
+        if (now_s := playback.now_ns / 1e9) < self._due_s:
             return
-        self._due_s = now_s + 1.0
+        link, self._due_s = daemon.parts.autopilot.status(), now_s + 1.0
+        if playback is not self._playback:
+            self._playback, self._read, self._before = playback, 0, link
+            self._counts, self._newest_s = Counter[str](), -math.inf
+        for at_s, one in playback.received[self._read :]:
+            if is_position(one):
+                self._counts[one.get_type()] += 1
+                self._newest_s = at_s
+        self._read = len(playback.received)
+        for name in CARRIERS:  # what has left in this turn arrives in the next one
+            assert self._before.sent.get(name, 0) <= self._counts[name] <= link.sent.get(name, 0)
+        self._before = link
         state = Steering(link.gps_use, link.steers_by)  # type: ignore[arg-type]
         self.states.append(state)
         self._check_metrics(link)
-        newest_s = max((at_s for at_s, _ in heard), default=None)
-        assert (link.sent_ns is None) == (newest_s is None)
         if state.by == "places":
-            assert newest_s is not None and now_s - newest_s <= CONFIRMED_NS / S + FOLLOWED_S
+            assert now_s - self._newest_s <= CONFIRMED_NS / S + FOLLOWED_S
         fixes = [good for at_s, good in self._fixes if now_s - 8.0 <= at_s <= now_s]
         if link.state == "up" and len(fixes) > 3 and len(set(fixes)) == 1:  # for some seconds
             assert fixes[0] or (state.gps in ("lost", "unknown") and state.by != "GPS"), f"{now_s:.1f} s: {state}"
