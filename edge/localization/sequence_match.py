@@ -45,7 +45,7 @@ INDEPENDENT_M = 38.0
 """Driven between two of structure whose errors are independent: they correlate by about 0.25 at 20 m, and 0 at 40 m."""
 DRIFT, FAR_M = 0.015, 60.0
 """Of the odometer between two, less what the filter knows of it, one standard deviation; and how far apart they may be
-at most. With 0.03 one on road 13401 that was 3.9 m off was handed on."""
+at most."""
 
 
 class LocalMidpoint(NamedTuple):

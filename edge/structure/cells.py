@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 CELL_M = 1.0
-WIDE_M, ASIDE_M = 12.0, 6.0
+WIDE_M, SIDEWAYS_M = 12.0, 6.0
 """To each side of the path of a window, and by how much that may lie beside the path of the map."""
 LOW_M, HIGH_M = -2.0, 10.0
 """Below and above the cameras."""
@@ -46,7 +46,7 @@ def best_fit(points: Floats, stretch: Floats, about_m: float, window_m: float, s
     places = int(np.ceil(2 * search_m / CELL_M)) + 1
     last_m = first_m + window_m + (places - 1) * CELL_M
     window = cells_of(points, -window_m / 2, window_m / 2, WIDE_M)
-    usual = cells_of(stretch, first_m - USUAL_M, last_m + USUAL_M, WIDE_M + ASIDE_M)
+    usual = cells_of(stretch, first_m - USUAL_M, last_m + USUAL_M, WIDE_M + SIDEWAYS_M)
     scores = scores_of(window, usual, int(USUAL_M / CELL_M), places)
     at = np.unravel_index(scores.argmax(), scores.shape)
     row, column = int(at[0]), int(at[1])
@@ -62,7 +62,7 @@ def best_fit(points: Floats, stretch: Floats, about_m: float, window_m: float, s
         )
     )
     along_m = first_m + window_m / 2 + (row + along) * CELL_M
-    return Fit(float(along_m), (column + left) * CELL_M - ASIDE_M, (along_sigma_m, left_sigma_m), score)
+    return Fit(float(along_m), (column + left) * CELL_M - SIDEWAYS_M, (along_sigma_m, left_sigma_m), score)
 
 
 def cells_of(points: Floats, from_m: float, to_m: float, wide_m: float = WIDE_M) -> Floats:
