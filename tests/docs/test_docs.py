@@ -259,7 +259,7 @@ def test_every_state_is_explained() -> None:
 
 MOST_WORDS = 35
 """In a sentence: longer ones are read twice."""
-MOST_WORDS_IN_ALL = 22_700
+MOST_WORDS_IN_ALL = 22_500
 """Of all pages in `docs/`, as `wc -w docs/*.md` counts. Whoever makes a page shorter lowers it."""
 WRITTEN = re.compile(r"<!-- (.*?): begin -->.*?<!-- \1: end -->", re.DOTALL)
 """What a command writes: tables, and lists of whatever was found."""
