@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, capture, keyframes, poses, reliability
+from sim.research.evaluation import belief, keyframes, poses, reliability
 from sim.research.trial.table import put_between
 
 
@@ -44,7 +44,7 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "belief": (belief.rows, (*ROADS, "length", "networks", "draws")),
     "reliability": (reliability.rows, (*ROADS, "length", "feeds")),
     "poses": (poses.rows, ROADS),
-    "capture": (capture.rows, ROADS),
+    "capture": (poses.capture, ROADS),
     "keyframes": (keyframes.on_map, (*ROADS, "draws")),
     "streets": (keyframes.on_streets, ROADS),
     "off-map": (keyframes.off_map, ("seeds", "cache")),
