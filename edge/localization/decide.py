@@ -7,7 +7,7 @@ before it, so none is asked after one that holds. docs/positions.md says what ea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -123,9 +123,9 @@ class NoFix(Struct, frozen=True, tag="Refusal"):
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
 
 
-def refusal(facts: GateInputs, rules: Sequence[Rule]) -> NoFix | None:
+def refusal(facts: GateInputs) -> NoFix | None:
     """The first reason that holds, None where a position may be published."""
-    rule = next((one for one in rules if one.holds(facts)), None)
+    rule = next((one for one in RULES if one.holds(facts)), None)
     if rule is None:
         return None
     return NoFix(rule.reason, rule.detail(facts), facts.place, facts.distance_m, facts.level)
@@ -151,13 +151,11 @@ class StateEstimate:
     is_blurred: bool
 
 
-def decide(
-    now_ns: int, known: StateEstimate, limits: FixRequest, gates: GatesConfig, rules: Sequence[Rule] = RULES
-) -> Fix | NoFix:
+def decide(now_ns: int, known: StateEstimate, limits: FixRequest, gates: GatesConfig) -> Fix | NoFix:
     """A position that may be published at a moment, or why none may."""
     place, motion, own, aiding, history = known.place, known.motion, known.autopilot, known.aiding, known.evidence
     if place is None:
-        return refusal(GateInputs(gates, limits, own, known.is_blurred), rules) or NoFix(NO_PLACES)
+        return refusal(GateInputs(gates, limits, own, known.is_blurred)) or NoFix(NO_PLACES)
 
     # What speaks for the place, what dead reckoning says of it, and how probable another one is (Bayes).
     evidence = Evidence() if motion is None or not place.is_position else history.of(place, motion)
@@ -186,4 +184,4 @@ def decide(
         is_needed=not (limits.is_reset and is_aided) or is_off(own, place, gates.min_move_m),
     )
     bound_wrong = min(BOUND_WRONG, max(CARRIED, ONE_MORE * place_wrong))
-    return refusal(facts, rules) or Fix(place, level, bound_wrong, motion, known.pose_sigma_m)
+    return refusal(facts) or Fix(place, level, bound_wrong, motion, known.pose_sigma_m)

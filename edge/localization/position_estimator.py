@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -27,7 +27,7 @@ from edge.config import Config
 from edge.geodesy import heading_between
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.decide import RULES, NoFix, Rule, StateEstimate, decide
+from edge.localization.decide import NoFix, StateEstimate, decide
 from edge.localization.events import (
     AutopilotState,
     Discontinuity,
@@ -135,10 +135,10 @@ class PositionEstimator:
             case MapUpdate():
                 self._use_maps(event)
 
-    def fix(self, t_ns: int, limits: FixRequest, rules: Sequence[Rule] = RULES) -> Fix | NoFix:
-        """A position that may be published at a moment, or why none may; rules: fewer to see what each is worth."""
+    def fix(self, t_ns: int, limits: FixRequest) -> Fix | NoFix:
+        """A position that may be published at a moment, or why none may."""
         known = self._estimate(self._asked(t_ns, limits))
-        answer = decide(t_ns, known, limits, self._config.gates, rules)
+        answer = decide(t_ns, known, limits, self._config.gates)
         self._publish(t_ns, FixResult(limits, answer))
         return answer
 

@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from edge.config import GatesConfig
@@ -43,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "error, and drift where nothing comes, that is accepted (default 20)"
     parser.add_argument("--within-m", type=float, default=20.0, metavar="M", help=about)
     parser.add_argument("--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default 100)")
-    about = "write the stretches as well (.csv, .json, .geojson)"
+    about = "write the stretches as well (.csv, .geojson)"
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=about)
     parser.add_argument("--report", type=Path, metavar="FILE", help="draw them on a page (HTML)")
     parser.set_defaults(run=_run)
@@ -87,8 +86,7 @@ def _run(args: argparse.Namespace) -> int:
     found = report(drives, light=args.light, stretch_m=args.stretch_m, **limits)
     print("\n".join(text(found)))
     if args.output:
-        writers = {".csv": lambda: _csv(found), ".json": lambda: _json(found), ".geojson": lambda: _geojson(found)}
-        write_by_suffix(args.output, writers)
+        write_by_suffix(args.output, {".csv": lambda: _csv(found), ".geojson": lambda: _geojson(found)})
     if args.report:
         _draw(args.report, found)
     return 0
@@ -211,16 +209,6 @@ def _csv(found: Report) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()
-
-
-def _json(found: Report) -> str:
-    factors = {light: [one.factor(axis) for axis in range(2)] for light, one in found.lights.items()}
-    lights = {
-        light: {name: one and one._asdict() for name, one in zip(AXES, of_light, strict=True)}
-        for light, of_light in factors.items()
-    }
-    about = {"drives": len(found.drives), "judges": len(found.judges), "factors": lights, "stretches": _rows(found)}
-    return msgspec.json.format(msgspec.json.encode(about), indent=1).decode()
 
 
 def _geojson(found: Report) -> str:
