@@ -333,18 +333,19 @@ class Tracker:
 
     def _use_structure(self, match: PlaceMatch | None, timestamp_sigma_m: float, stamp_ns: int) -> None:
         """Correct by structure that agrees with the one before, and hand on the third one like a keypoint pose."""
-        track = self._track
-        if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or track is None:
+        if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or not self._is_placed:
             return
         seen, at = self._georeferencer.structure_measurement(match, timestamp_sigma_m), self._at
-        if seen is None or at is None or at.motion is None:
+        line = self._georeferencer.of(match, timestamp_sigma_m)  # also where no sequence ends in this frame
+        if seen is None or line is None or at is None or at.motion is None:
             return
         agreeing, slot = self._structure.count(seen, _vector(at.motion), self.bank.right.truly), None
+        track = self._track or TrackScore(self._by_chance(line))
         if agreeing >= FIRST:
             slot = self.bank.all.slot(seen.drive, seen.errors)
         if slot is None or not measurements.by_structure(self.bank.all, slot, seen)[0]:
             return
-        self._exposure = self._fix(track, self.bank.right, stamp_ns, track.since_m, self._yaw_rad)
+        self._add(track, line, stamp_ns)
         origin = self._georeferencer.origin
         if origin is not None and self._structure.is_independent():
             state, midpoint = self.bank.right, seen.midpoint
