@@ -46,11 +46,11 @@ autopilot's messages, encodes and sends, decides the daemon's health, and serves
 """
 READS = "telemetry/position_history.py"
 """Keeps the autopilot's positions."""
-USED_FRAME_FILES_MOST = 45
+USED_FRAME_FILES_MOST = 46
 """A file counts once, if any function of it is called. Five keep the evidence and decide by it, and one of them is the
 whole decision; a network says which regions of a picture it needs. Two believe a place with where the vehicle is
 reckoned to be, one moves it by its gyros, and one looks at keypoints."""
-TURN_FILES_MOST = 62
+TURN_FILES_MOST = 63
 """Of a turn that reads a local position as well. One selects the sources of an autopilot that fuses poses, and one is
 the table of what each autopilot can do."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 19
