@@ -100,15 +100,19 @@ def test_from_camera_to_autopilot(street: Path, tmp_path: Path, cable: PtyLink) 
     assert {"regions", "network", "matching", "search", "telemetry"} <= set(stopped.stages_ms)
 
 
-def test_a_feed_begins_once_the_autopilot_has_reported_a_speed(street: Path, tmp_path: Path, cable: PtyLink) -> None:
-    """Else its first frames would be places by time, though the map's are by distance."""
-    autopilot = SimulatedAutopilot(cable, straight_line(5.0, 0.0, time.monotonic()))
-    config = Config(
+def config_of(street: Path, folder: Path, cable: PtyLink) -> Config:
+    return Config(
         camera=CameraConfig(kind="feed", device=str(street / "feed")),
         map=MapConfig(path=str(street / "map")),
         plugins={"page": PageConfig(port=0)},
-        telemetry=TelemetryConfig(connection=f"serial:{cable.device}:921600", journal=str(tmp_path / "events.jsonl")),
+        telemetry=TelemetryConfig(connection=f"serial:{cable.device}:921600", journal=str(folder / "events.jsonl")),
     )
+
+
+def test_a_feed_begins_once_the_autopilot_has_reported_a_speed(street: Path, tmp_path: Path, cable: PtyLink) -> None:
+    """Else its first frames would be places by time, though the map's are by distance."""
+    autopilot = SimulatedAutopilot(cable, straight_line(5.0, 0.0, time.monotonic()))
+    config = config_of(street, tmp_path, cable)
     stop = threading.Event()
     flying = threading.Thread(target=autopilot.run, args=(stop,))
     flying.start()
@@ -137,12 +141,7 @@ def test_a_feed_begins_with_the_vehicle_that_follows_it(street: Path, tmp_path: 
             for one in autopilot.received:
                 start.hear(one.message, one.time_s)
 
-    config = Config(
-        camera=CameraConfig(kind="feed", device=str(street / "feed")),
-        map=MapConfig(path=str(street / "map")),
-        plugins={"page": PageConfig(port=0)},
-        telemetry=TelemetryConfig(connection=f"serial:{cable.device}:921600", journal=str(tmp_path / "events.jsonl")),
-    )
+    config = config_of(street, tmp_path, cable)
     flying = threading.Thread(target=fly)
     flying.start()
     try:

@@ -36,9 +36,9 @@ APART_M, METERS_A_DEGREE = 0.5, 110_574.0
 differently in the last bits: positions were up to 0.08 m apart, all that was decided was equal."""
 
 
-HELD_ELSEWHERE = {"folder_of_maps", "tiles"}
-"""By test_map_folders: that such maps answer as the whole one does."""
-REPLAYED = [pytest.param(one, marks=[pytest.mark.long] * (one.name in HELD_ELSEWHERE)) for one in cases("replay")]
+OF_PARTS = "folder_of_maps", "tiles"
+"""tests/commands/test_map_folders.py holds that such maps answer as the whole one does."""
+REPLAYED = [pytest.param(one, marks=[pytest.mark.long] * (one.name in OF_PARTS)) for one in cases("replay")]
 RENDERED = [pytest.param(folder, marks=pytest.mark.long) for folder in cases("drives")]
 """Rendered and described anew: four in five of the seconds that all goldens take."""
 

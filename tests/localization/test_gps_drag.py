@@ -215,11 +215,8 @@ def left(
     every: frames from pose to pose. acts: `doubted_gps`. wrong: the frame whose pose alone is 8 m to the right.
     """
     gates = GatesConfig(doubted_gps=acts, risk=1.0)
-    one, rng, found = (
-        Vehicle(road, settings(SETTINGS.rig, gates), LENGTH_M - 10.0, "reverse"),
-        np.random.default_rng(seed),
-        [],
-    )
+    one = Vehicle(road, settings(SETTINGS.rig, gates), LENGTH_M - 10.0, "reverse")
+    rng, found = np.random.default_rng(seed), list[Left]()
     one.frame = {"without_gps": None}
     time_s = np.arange(round((LENGTH_M - 20.0) / SPACING_M)) * FRAME_NS / 1e9
     drags_m = np.maximum(0.0, time_s - FROM_S) % 40.0

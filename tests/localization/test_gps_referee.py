@@ -39,12 +39,9 @@ def long_road(tmp_path_factory: pytest.TempPathFactory) -> Road:
 
 
 @pytest.fixture(scope="module")
-def shaped(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Road]:
+def shaped(long_road: Road, tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Road]:
     """By whether its recording is known to keep its shape."""
-    return {
-        has_odometer: Road(tmp_path_factory.mktemp("road"), replace(part(0, 1250), has_odometer=has_odometer))
-        for has_odometer in (False, True)
-    }
+    return {False: long_road, True: Road(tmp_path_factory.mktemp("road"), replace(part(0, 1250), has_odometer=True))}
 
 
 def right(at_m: float) -> tuple[float, float]:
@@ -109,7 +106,8 @@ def drive(
 ) -> list[GpsVerdict]:
     """The verdict at each frame. For AGREES_M GPS is as right as it says, and places are where they are.
 
-    odometer: see `begun`. aside: see `departs`. ends_in: the verdict with which the drive is over.
+    odometer: see `begun`. aside: meters to the east for each to the north that it goes from AGREES_M on. ends_in: the
+    verdict with which the drive is over.
     """
     one, verdicts = agreed(road, seed, odometer)
     one, verdicts = one.copy(), verdicts.copy()
@@ -283,24 +281,14 @@ def test_without_places_nothing_is_said(long_road: Road) -> None:
     assert verdicts[-1].state == "cannot say"
 
 
-def departs(
-    road: Road,
-    offset: Offset,
-    sees: Callable[[float], PlaceMatch | None] | None = None,
-    aside: float = 0.0,
-    ends_in: str = "",
-) -> list[GpsVerdict]:
-    """Without own motion. aside: meters to the east for each to the north that it goes from AGREES_M on."""
-    return drive(road, offset, 1000.0, sees=sees, odometer=None, aside=aside, ends_in=ends_in)
-
-
 @pytest.mark.parametrize("share", [0.12, 0.25])
 @pytest.mark.parametrize("has_odometer", [True, False])
 def test_gps_that_departs_from_a_recording_that_keeps_its_shape_is_wrong(
     shaped: dict[bool, Road], share: float, has_odometer: bool
 ) -> None:
     """Also where own motion is not known; a recording of whose shape nothing is known is no witness."""
-    verdicts = departs(shaped[has_odometer], lambda at_m: (share * max(0.0, at_m - AGREES_M), 0.0), ends_in="faulty")
+    offset: Offset = lambda at_m: (share * max(0.0, at_m - AGREES_M), 0.0)  # noqa: E731
+    verdicts = drive(shaped[has_odometer], offset, 1000.0, odometer=None, ends_in="faulty")
     assert "map faulty" not in states(verdicts)
     if has_odometer:
         assert share * (called_at_m(verdicts) - AGREES_M) < 85.0
@@ -319,7 +307,7 @@ def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(
     def sees(at_m: float) -> PlaceMatch | None:
         return None if AGREES_M < at_m <= AGREES_M + gap_m else road.match(at_m)
 
-    found = states(departs(road, lambda at_m: (off_m if at_m > AGREES_M else 0.0, 0.0), sees))
+    found = states(drive(road, lambda at_m: (off_m if at_m > AGREES_M else 0.0, 0.0), 1000.0, sees=sees, odometer=None))
     assert "faulty" not in found
     assert found[-1] == "inconsistent"
 
@@ -331,7 +319,8 @@ def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(shaped: dict[bool, Roa
     def sees(at_m: float) -> PlaceMatch | None:
         return road.match(at_m) if at_m < AGREES_M + 6 * 20.0 else None
 
-    assert "faulty" not in states(departs(road, lambda at_m: (max(0.0, at_m - AGREES_M) / 6, 0.0), sees, 1 / 6))
+    offset: Offset = lambda at_m: (max(0.0, at_m - AGREES_M) / 6, 0.0)  # noqa: E731
+    assert "faulty" not in states(drive(road, offset, 1000.0, sees=sees, odometer=None, aside=1 / 6))
 
 
 @pytest.mark.parametrize("share", [1.0, pytest.param(0.75, marks=pytest.mark.long)])

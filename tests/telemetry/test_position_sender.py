@@ -1,4 +1,4 @@
-"""Positions against the firmware that the table in sim/firmware.py knows: ways, answers, refusals, streams."""
+"""Positions against the firmware that the table in sim/vehicle/firmware.py knows: ways, answers, refusals, streams."""
 
 from __future__ import annotations
 

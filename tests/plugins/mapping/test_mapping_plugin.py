@@ -207,11 +207,8 @@ def drive(
         sampling=SamplingConfig(spacing_m=SPACING_M),
         map=MapConfig(path=mapping.folder),
         plugins={"mapping": mapping, "page": PageConfig(port=0), "recording": recording},
-        telemetry=msgspec.structs.replace(
-            TelemetryConfig(),
-            connection=f"serial:{link.device}:921600",
-            journal=str(folder / "events.jsonl"),
-            journal_frames=True,
+        telemetry=TelemetryConfig(
+            connection=f"serial:{link.device}:921600", journal=str(folder / "events.jsonl"), journal_frames=True
         ),
     )
     fails_s = world.now_ns / 1e9 + 3 + ROAD_M / SPEED_MPS if gps_out_only else float("inf")
@@ -436,9 +433,7 @@ def test_a_slow_computer_thins_the_second_camera_first(
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         map=MapConfig(path=str(folder)),
         plugins={"mapping": mapping_to(folder, second_camera=True), "page": PageConfig(port=0)},
-        telemetry=msgspec.structs.replace(
-            TelemetryConfig(), connection=f"serial:{link.device}:921600", journal=str(tmp_path / "events.jsonl")
-        ),
+        telemetry=TelemetryConfig(connection=f"serial:{link.device}:921600", journal=str(tmp_path / "events.jsonl")),
     )
     autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns)
     front, rear = WaitingCamera(world, ahead=True), WaitingCamera(world, ahead=False)
