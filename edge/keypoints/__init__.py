@@ -26,13 +26,14 @@ class Keypoints:
 
     xy: (K, 2) float32, pixels of the picture from the center of its upper left one, x to the right and y down.
     scores: (K,) float32, over 0 to 1. descriptors: (K, 64) int8, 127 times a vector of length 1.
-    size: height and width of the picture in pixels.
+    size: height and width of the picture in pixels. sharpness: see `network.sharpness_of`.
     """
 
     xy: NDArray[np.float32]
     scores: NDArray[np.float32]
     descriptors: NDArray[np.int8]
     size: tuple[int, int]
+    sharpness: float = 1.0
 
     def __len__(self) -> int:
         return len(self.xy)

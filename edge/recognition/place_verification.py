@@ -161,7 +161,7 @@ class PlaceVerification:
         if pose is None or _support_of(pose) == 0.0:
             return None
         self._newest = query, place, pose
-        wide = self._by_any_camera(matches, place, pose).scaled(self._key(place).focal_sigma)
+        wide = self._by_any_camera(matches, place, pose).scaled(self._key(place).focal_sigma, query.sharpness)
         return _match(place, wide, _support_of(pose))
 
     def _by_any_camera(self, matches: PointMatches, place: int, pose: RelativePose) -> RelativePose:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
 from edge.keypoints.points import MapPoints
-from edge.keypoints.pose import FEWEST_POINTS, RelativePose, pose_to_keyframe, solve_pnp
+from edge.keypoints.pose import FEWEST_POINTS, SHARP, RelativePose, pose_to_keyframe, solve_pnp
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
 HOME = (3.5, 1.0, 0.05, 0.02)
@@ -38,8 +38,9 @@ def test_one_look_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) ->
     assert all(pose is not None and pose.inliers > 50 for pose, _ in looks)
     rms = np.sqrt(np.mean([off**2 for _, off in looks], axis=0))
     assert (rms < 1.6).all(), rms
-    sigmas = np.sqrt([np.diag(pose.covariance) for pose, _ in looks if pose])
-    assert (np.median(sigmas, axis=0) < [0.5, 0.5, 0.02]).all()
+    sharp, blurred = ([np.diag(one.scaled(0.0, of).covariance) for one, _ in looks if one] for of in (1.0, SHARP / 4))
+    assert (np.median(np.sqrt(sharp), axis=0) < [0.5, 0.5, 0.02]).all()
+    np.testing.assert_allclose(blurred, 4 * np.array(sharp))
 
 
 def test_a_pose_aside_is_not_pulled_to_where_the_map_was_driven() -> None:
