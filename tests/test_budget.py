@@ -19,7 +19,7 @@ ROOMS = {
     "edge/feed": 500,
     "edge/health": 250,
     "edge/journal": 400,
-    "edge/keypoints": 800,
+    "edge/keypoints": 850,
     "edge/localization": 2850,
     "edge/recognition": 1100,
     "edge/reference_map": 1500,
