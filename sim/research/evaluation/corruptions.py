@@ -24,7 +24,7 @@ from sim.traverse import config_as_mapped
 from sim.world.recording import recorded
 from sim.world.scenario import LightName, Scenario
 
-LIGHTS: tuple[LightName, ...] = ("dusk", "night")
+LIGHTS: tuple[LightName, ...] = ("night",)
 SEVERITIES, SPACING_M = (3, 5), 2.0
 
 
