@@ -12,6 +12,7 @@ import logging
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -37,6 +38,14 @@ TURN_S = 0.02  # at most this long between reads of the MAVLink port
 log = logging.getLogger(__name__)
 
 
+@dataclass
+class _NewestFrames:
+    """What the last one took, and at the newest keypoint pose: what was driven, and meters right of the map's drive."""
+
+    took_s: float = 0.0
+    posed: tuple[float, float] | None = None
+
+
 class Daemon:
     """The running parts; `turn` moves at most one frame from the camera to the autopilot."""
 
@@ -48,8 +57,7 @@ class Daemon:
         self._turn_around = TurnAround()
         self._distance_gaps = 0
         self._warned_of: set[str] = set()
-        self._frame_s = 0.0  # what the last one took
-        self._posed: tuple[float, float] | None = None  # driven at the newest keypoint pose; right of the map's drive
+        self._newest = _NewestFrames()
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
@@ -118,7 +126,7 @@ class Daemon:
         self._warn_of_camera()
         self.parts.times.lap("telemetry")
         now_ns = self._clock_ns()
-        self._frame_s = (now_ns - began_ns) / 1e9
+        self._newest.took_s = (now_ns - began_ns) / 1e9
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
         self.parts.warm_start.keep_if_due(now_ns)
 
@@ -150,7 +158,7 @@ class Daemon:
         self._drive.update(now_ns, frame)
         driven_m = vehicle.motion.driven_m(now_ns)
         if match is not None and match.seen is not None and driven_m is not None:
-            self._posed = driven_m, match.seen.right_m * (-1 if self.parts.config.camera.view == "rear" else 1)
+            self._newest.posed = driven_m, match.seen.right_m * (-1 if self.parts.config.camera.view == "rear" else 1)
         if in_line:
             self._autopilot.judge_gps()
 
@@ -292,20 +300,20 @@ class Daemon:
         # Not the fault of a single picture, which lasts for a moment: it would be news to the pilot each time.
         undated = parts.pictures.why_undated if self._autopilot.positions.enabled else ""
         driven_m = self._autopilot.vehicle.motion.driven_m(self._clock_ns())
-        if self._posed and (driven_m is None or driven_m < self._posed[0]):  # the odometer began anew
-            self._posed = None
-        posed_m, right_m = self._posed or (driven_m or 0.0, 0.0)
+        if self._newest.posed and (driven_m is None or driven_m < self._newest.posed[0]):  # the odometer began anew
+            self._newest.posed = None
+        posed_m, right_m = self._newest.posed or (driven_m or 0.0, 0.0)
         inputs = HealthInputs(
             recognizer=self._recognizer.state,
             frames_used=parts.frames_used,
-            frame_s=self._frame_s,
+            frame_s=self._newest.took_s,
             picture=fault.what if fault and fault.sure else "",
             link=self._autopilot.state,
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
             withheld=undated or self._autopilot.why_no_position,
             driven_m=driven_m,
-            no_pose_m=None if driven_m is None or self._posed is None else driven_m - posed_m,
+            no_pose_m=None if driven_m is None or self._newest.posed is None else driven_m - posed_m,
             right_m=right_m,
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""
