@@ -127,6 +127,8 @@ def _try(
         config = _fitted(config, plain, query, network)
     watch = _Watch()
     seen = recognize(maps, replace(query, pictures=lambda: _ImageTap(FeedImages(query), watch)), config, network)
+    if not seen.used:
+        raise FeedError(f"{query.path}: no picture shows anything: {seen.camera}")
     judged, with_keypoints = _judged(maps, seen, args.tolerance_m), None
     if key is not None:
         alone = recognize(plain, query, config, network)
