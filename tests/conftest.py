@@ -226,13 +226,13 @@ def make_street(
 
 
 @pytest.fixture(scope="session")
-def play_on() -> Callable[[Path, Path], Path]:
-    """Copies a feed to one of an hour, five frames a second: a busy machine keeps up, and no test outlasts it."""
+def play_on() -> Callable[..., Path]:
+    """Copies a feed to one that no test outlasts: an hour of 5 frames a second: a busy machine keeps up."""
 
-    def copy(feed: Path, path: Path) -> Path:
+    def copy(feed: Path, path: Path, period_ns: int = 200_000_000) -> Path:
         files = [row.file for row in read_feed(feed).rows]
         shutil.copytree(feed, path)
-        rows = [f"{files[number % len(files)]},{number * 200_000_000}" for number in range(18_000)]
+        rows = [f"{files[number % len(files)]},{number * period_ns}" for number in range(18_000)]
         (path / "frames.csv").write_text("\n".join(["file,stamp_ns", *rows]), encoding="utf-8")
         return path
 

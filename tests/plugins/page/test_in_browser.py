@@ -55,16 +55,17 @@ PICTURES = os.environ.get("LOOKBACK_PICTURES", "")
 
 
 @pytest.fixture(scope="module")
-def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A config whose camera plays the corridor at 8 frames a second, for longer than the test takes."""
+def config(shared: Path, play_on: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A config whose camera plays the corridor over and over, at 8 frames a second."""
     folder = tmp_path_factory.mktemp("page")
     corridor = read_feed(shared / "feeds/corridor_reference")
     build_map([corridor], folder / "corridor.map", DescriptorConfig(), SamplingConfig(by="frames"))
     query = read_feed(shared / "feeds/corridor_query")
-    with FeedWriter(folder / "walk", replace(query.header, video="", name="walk")) as writer:
+    with FeedWriter(folder / "once", replace(query.header, video="", name="walk")) as writer:
         images = FeedImages(query)
-        for number in range(8 * len(query.rows)):
-            writer.write(images.read(number % len(query.rows)), FeedRow("", number * 125_000_000))
+        for number in range(len(query.rows)):
+            writer.write(images.read(number), FeedRow("", number))
+    play_on(folder / "once", folder / "walk", 125_000_000)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     file = folder / "lookback.toml"
@@ -130,9 +131,15 @@ def save_whole(driver: Any, width: int, name: str) -> None:
     driver.save_screenshot(str(Path(PICTURES) / name))
 
 
-@pytest.mark.parametrize(("width", "height", "dark"), [(390, 844, True), (1280, 900, False)])
-def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark: bool) -> None:
-    with daemon(config), autopilot(config), browser(width, height, dark=dark) as driver:
+def test_it_loads_draws_and_updates(config: Path) -> None:
+    """On a phone at night, and on a screen by day."""
+    with daemon(config), autopilot(config):
+        for width, height, dark in ((390, 844, True), (1280, 900, False)):
+            loads_draws_and_updates(config, width, height, dark=dark)
+
+
+def loads_draws_and_updates(config: Path, width: int, height: int, *, dark: bool) -> None:
+    with browser(width, height, dark=dark) as driver:
         driver.get(url_of(config))
         until(driver, "status !== null && newestMatch() !== null && newestMatch().accepted && past.length > 20")
         until(driver, PICTURES_SHOWN)
@@ -214,34 +221,29 @@ def searching(gone_m: float, state: str) -> Callable[[int], PageSnapshot]:
     return shown
 
 
-@pytest.mark.parametrize(
-    ("gone_m", "state", "looks", "goes_on", "shade", "is_late"),
-    [
-        (50.0, "warming up", "front", "50 of about 80 m", "soft", False),
-        (100.0, "off the map", "rear", "100 of about 80 m", "soft", False),
-        (100.0, "off the map", "front", "100 of about 80 m", "soft", True),
-        (130.0, "off the map", "front", "", "orange", True),
-        (250.0, "off the map", "front", "", "orange", False),
-        (0.0, "on the map", "front", "", "ink", False),
-    ],
-)
-def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_helps(
-    tmp_path: Path, gone_m: float, state: str, looks: str, goes_on: str, shade: str, is_late: bool
-) -> None:
+def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_helps(tmp_path: Path) -> None:
     """The pilot, the journal and /metrics have the same word. The map was made with a camera that looks back."""
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
-    with (
-        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps, looks))) as page,
-        contextlib.closing(Loop(page, searching(gone_m, state))),
-        browser(390, 844) as driver,
-    ):
-        driver.get(f"http://127.0.0.1:{page.port}/")
-        until(driver, "status !== null")
-        assert text(driver, "state") == state.upper()
-        assert driver.find_element("id", "searched").is_displayed() == bool(goes_on)
-        assert goes_on in text(driver, "answer") and ("of about" in text(driver, "answer")) == bool(goes_on)
-        assert driver.execute_script(f"return shadeOf(past[0]) === color('{shade}')"), "of the trail"
-        assert ("add a drive of this camera" in text(driver, "answer")) == is_late
+    with browser(390, 844) as driver:
+        for gone_m, state, looks, goes_on, shade, is_late in (
+            (50.0, "warming up", "front", "50 of about 80 m", "soft", False),
+            (100.0, "off the map", "rear", "100 of about 80 m", "soft", False),
+            (100.0, "off the map", "front", "100 of about 80 m", "soft", True),
+            (130.0, "off the map", "front", "", "orange", True),
+            (250.0, "off the map", "front", "", "orange", False),
+            (0.0, "on the map", "front", "", "ink", False),
+        ):
+            with (
+                contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps, looks))) as page,
+                contextlib.closing(Loop(page, searching(gone_m, state))),
+            ):
+                driver.get(f"http://127.0.0.1:{page.port}/")
+                until(driver, "status !== null")
+                assert text(driver, "state") == state.upper()
+                assert driver.find_element("id", "searched").is_displayed() == bool(goes_on)
+                assert goes_on in text(driver, "answer") and ("of about" in text(driver, "answer")) == bool(goes_on)
+                assert driver.execute_script(f"return shadeOf(past[0]) === color('{shade}')"), "of the trail"
+                assert ("add a drive of this camera" in text(driver, "answer")) == is_late
 
 
 def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: Path) -> None:
