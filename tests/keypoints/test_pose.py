@@ -32,7 +32,7 @@ def one_look(
 
 
 @pytest.mark.parametrize("camera", [HOME, (-0.5, -4.0, 0.0, 0.0), (0.0, 6.0, -0.1, -0.03)])
-def test_one_look_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) -> None:
+def test_one_keyframe_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) -> None:
     looks = [one_look(seed, camera) for seed in range(12)]
     assert all(pose is not None and pose.inliers > 50 for pose, _ in looks)
     rms = np.sqrt(np.mean([off**2 for _, off in looks], axis=0))
@@ -100,7 +100,7 @@ def test_a_followed_vehicle_needs_one_start() -> None:
 
 
 @pytest.mark.parametrize("scale", [1, 2])
-def test_a_look_matches_descriptors_in_a_picture_of_any_size(scale: int) -> None:
+def test_descriptors_match_in_a_picture_of_any_size(scale: int) -> None:
     rng = np.random.default_rng(7)
     world_m = street(rng, 100)
     points = row_points(rng, world_m, pixels=0.5, turned_deg=0.0)

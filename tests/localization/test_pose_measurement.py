@@ -81,7 +81,7 @@ def homeward(road: Road, config: Config = MEASURED, sees: Sees | None = None, me
     ("mapped", "camera", "reverse", "left_m"),
     [("front", "front", False, -0.5), ("rear", "front", True, 0.0), ("front", "rear", True, 0.0)],
 )
-def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
+def test_a_pose_of_rendered_pictures_puts_a_vehicle_where_it_is(
     mapped: View, camera: View, reverse: bool, left_m: float
 ) -> None:
     """The same way and home, in the other lane; turned by 3 degrees."""
@@ -145,7 +145,7 @@ class _Rendered:
 
 
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
-def test_looks_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(road: Road, direction: Direction) -> None:
+def test_poses_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(road: Road, direction: Direction) -> None:
     """Home, and backwards on the way home: the camera looks south either way."""
     one = Vehicle(road, MEASURED, 200.0, direction)
     one.nose_deg = 180.0 * (direction == "forward")
@@ -186,13 +186,13 @@ def test_how_far_cameras_are_ahead_of_their_antennas_is_taken_off_or_is_not_know
     assert unknown is not None and unknown.sigma_along_m >= 3.0 and unknown.sigma_cross_track_m < 1.1
 
 
-def test_looks_alone_are_enough_where_no_line_is_known(road: Road) -> None:
+def test_poses_alone_are_enough_where_no_line_is_known(road: Road) -> None:
     one = Vehicle(road, MEASURED, 100.0, "reverse")
     one.go(4, lambda at_m: match(round(at_m / 2), "reverse", order="same", has_line=False, seen=seen(round(at_m / 2))))
     assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
 
 
-def test_looks_close_together_share_what_they_say(road: Road) -> None:
+def test_poses_close_together_share_what_they_say(road: Road) -> None:
     """Ten of them 2 m apart count as about three, and any number of a vehicle that stands as about one."""
     loose = settings(RigConfig(look_sigma_m=0.01), scale_error_percent=0.01, heading_error_deg=0.01)
     sigmas, wide = [], looks(road, covariance=np.diag([4.0, 4.0, 1e-4]))
@@ -214,7 +214,7 @@ def test_looks_close_together_share_what_they_say(road: Road) -> None:
     assert standing > 0.85 * first
 
 
-def test_a_single_look_waits_for_one_that_agrees(road: Road) -> None:
+def test_a_single_pose_waits_for_one_that_agrees(road: Road) -> None:
     one = homeward(road, sees=looks(road, -1.0), meters=2.0)
     assert one.place is None or one.place.points is UNSET
     one.go(4, looks(road, 1.5))
@@ -238,7 +238,7 @@ def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -
     assert one.place is not None and not one.place.disputed, "it is at the same place"
 
 
-def test_no_number_of_looks_moves_an_estimate_to_another_place(road: Road) -> None:
+def test_no_number_of_poses_moves_an_estimate_to_another_place(road: Road) -> None:
     """What follows is disputed, and what was known before is back with the first looks that agree with it."""
     one = homeward(road, meters=80.0)
     for _ in range(10):
@@ -357,7 +357,7 @@ def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_a
     assert after.sigma_along_m < before.sigma_along_m + 0.1
 
 
-def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
+def test_a_line_moves_nothing_that_poses_have_measured(road: Road) -> None:
     one = homeward(road)
     soon, later = one.place_at(S // 2, 4.0), one.place_at(2 * S, 16.0)
     assert soon is not None and later is not None and (soon.points, later.points) == (40, UNSET)
@@ -373,7 +373,7 @@ def _heading_error(one: Vehicle) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("askew_deg", [0.0, 3.0])
-def test_looks_find_the_heading_error_of_the_velocity_and_not_that_of_the_camera(road: Road, askew_deg: float) -> None:
+def test_poses_find_the_heading_error_of_the_velocity_and_not_that_of_the_camera(road: Road, askew_deg: float) -> None:
     """A camera that is mounted askew is so with GPS already; after it, the autopilot's heading goes wrong."""
     one, sees = Vehicle(road, MEASURED, 390.0, "reverse"), looks(road, turn_deg=askew_deg)
     one.go(LINE_M, nothing, gps=True)

@@ -244,7 +244,7 @@ def alone_m(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64]:
     [((False,), (1,)), ((True,), (1,)), ((True,), (0, 1)), ((False, True, True), (0, 1, 2, 3))],
     ids=["of the other drive", "of one the other way", "of both", "of four"],
 )
-def test_looks_at_any_drive_of_a_road_are_as_good_as_at_the_only_one(
+def test_poses_on_any_drive_of_a_road_are_as_good_as_on_the_only_one(
     others: tuple[bool, ...], looks_at: tuple[int, ...], alone_m: NDArray[np.float64], tmp_path: Path
 ) -> None:
     """Lines are of the first drive. Before, the estimate began anew at each change: 4.6 m off (95 %), and not 1.2."""
@@ -259,7 +259,7 @@ def test_looks_at_any_drive_of_a_road_are_as_good_as_at_the_only_one(
     [(0.4, 0, 3.0), (0.0, 2, 4.0), (0.0, -2, 4.0)],
     ids=["frames", "rows", "early rows"],
 )
-def test_looks_that_are_4_m_late_are_within_what_positions_say(
+def test_poses_that_are_4_m_late_are_within_what_positions_say(
     late_s: float, late_rows: int, most: float, tmp_path: Path
 ) -> None:
     """By frames that are 0.4 s old and do not say so, or keypoints of another row: about 1.4 m is what is said."""
@@ -274,7 +274,7 @@ def test_looks_that_are_4_m_late_are_within_what_positions_say(
     [(300.0, 600.0, 12.0), (300.0, 800.0, 25.0), (500.0, 501.0, 6.0), (150.0, 1050.0, 24.0), (300.0, 1000.0, 28.0)],
     ids=["12", "25", "step", "most of it", "over half"],
 )
-def test_on_a_map_whose_gps_crept_looks_are_as_good_as_they_say(
+def test_on_a_map_whose_gps_crept_poses_are_as_good_as_they_say(
     from_m: float, to_m: float, by_m: float, tmp_path: Path
 ) -> None:
     """By less than counts as wrong. As certain as on other maps, they were up to 18.6 sigma off."""

@@ -207,7 +207,7 @@ def test_what_the_user_calls_sim_hides_nothing_silently(tmp_path: Path) -> None:
     assert "sim/__init__.py hides the package 'sim' that Lookback is made of" in done.stderr.splitlines()[-1]
 
 
-def test_one_look_says_which_place_a_picture_shows(folders: tuple[Path, Path]) -> None:
+def test_one_query_says_which_place_a_picture_shows(folders: tuple[Path, Path]) -> None:
     """By the points that agree: of files, of images and of points alike."""
     out, again = (sorted(folder.glob("*.png"), key=lambda file: int(file.stem)) for folder in folders)
     places = [lookback.keypoints(file) for file in out]

@@ -68,7 +68,7 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
 
 
 @pytest.mark.parametrize(("found_deg", "aside_m"), [(None, (8.0, 12.0)), (-5.0, (0.0, 3.0))])
-def test_a_heading_that_looks_have_found_wrong_leads_px4_nowhere(
+def test_a_heading_that_poses_have_found_wrong_leads_px4_nowhere(
     found_deg: float | None, aside_m: tuple[float, float], tmp_path: Path
 ) -> None:
     """Its heading is 5 degrees off to the right for 110 m: by that it goes 10 m aside."""

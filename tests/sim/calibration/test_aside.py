@@ -46,7 +46,7 @@ def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
     assert rig_config(measure_offsets(again)).sigma_cross_track_m == 2.5, "no lane is kept better"
 
 
-def test_looks_measure_how_far_cameras_are_from_their_antennas() -> None:
+def test_poses_measure_how_far_cameras_are_from_their_antennas() -> None:
     rng = np.random.default_rng(4)
     looks_m = [*rng.normal(6.0, 0.3, 200), *[float("nan")] * 50, *rng.normal(30.0, 1.0, 20)]
     home = [

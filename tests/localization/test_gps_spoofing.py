@@ -1,4 +1,4 @@
-"""GPS against looks: how far a drag goes before it is called, and what of an honest GPS never is."""
+"""GPS against keypoint poses: how far a spoofing drift goes before it is called, and what of an honest GPS never is."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ def test_a_drag_off_is_called_before_50_m_along_and_across(long_road: Road) -> N
 
 
 @pytest.mark.parametrize("off_m", [40.0, 400.0, 4e6])
-def test_a_jump_is_called_within_two_sightings(long_road: Road, off_m: float) -> None:
+def test_a_jump_is_called_within_two_matches(long_road: Road, off_m: float) -> None:
     verdicts = drive(long_road, lambda at_m: (0.0, off_m if at_m >= AGREES_M else 0.0), 500.0, ends_in="faulty")
     assert AGREES_M - 2 <= called_at_m(verdicts) <= AGREES_M + 140
 
