@@ -46,8 +46,7 @@ def on_files(files: Files, config: Any) -> Files:
     """README as the first page, without badges, which are loaded from elsewhere."""
     text = BADGE.sub("", (ROOT / "README.md").read_text(encoding="utf-8"))
     shown = "".join(
-        f'<figure><img src="{name}" alt=""><figcaption>{words}</figcaption></figure>\n'
-        for name, words in FRONT.items()
+        f'<figure><img src="{name}" alt=""><figcaption>{words}</figcaption></figure>\n' for name, words in FRONT.items()
     )
     pictures = f'<div class="pictures">\n{shown}</div>\n\n- **Beside its lane**'
     text = text.replace("- **Beside its lane**", pictures).replace("](docs/", "](")
