@@ -83,7 +83,7 @@ class Reader:
             assert not fixes[0] or state.gps != "lost", f"{now_s:.1f} s: {state}"
 
     def _check_metrics(self, link: LinkStatus) -> None:
-        status: Any = SimpleNamespace(link=link, stamp_ns=0, beside_lane_m=None)
+        status: Any = SimpleNamespace(link=link, no_pose_m=None, stamp_ns=0, beside_lane_m=None)
         found = {(one.name, *one.labels.values()): one.value for kind in _link_metrics(status) for one in kind.samples}
         assert {by for by in get_args(SteeredBy) if found["lookback_steering", by]} == {link.steers_by}
         assert {use for use in get_args(GpsUse) if found["lookback_gps_use", use]} == {link.gps_use}
