@@ -122,6 +122,7 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             "equal_index", "Gardens Point: day_left, ...", "names", "fps", truth="rows", tolerance=2.0
         ),
         "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "camera", "positions", tolerance=10.0),
+        "comma2k19": _kind("comma", "comma2k19: folder of one segment"),
         "fred": _kind("fred", "FRED: folder of one sequence", "camera"),
         "geotagged": _kind("geotagged", "folder of pictures, with EXIF positions or without", "fps"),
         "pictures": _kind("pictures_csv", "folder of pictures and a CSV file", "positions", "columns", "fps"),

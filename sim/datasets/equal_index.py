@@ -38,13 +38,8 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         FeedRow(name, stamp_ns, extra={"source_frame": str(number_in(name, index))})
         for index, (name, stamp_ns) in enumerate(zip(names, stamps_ns, strict=True))
     ]
-    return Traverse(
-        name=path.stem,
-        source=f"{path.parent.name} {path.name}",
-        rows=tuple(rows),
-        pictures=pictures,
-        notes="ground truth: equal source_frame; times are nominal for frames in a folder",
-    )
+    notes = "ground truth: equal source_frame; times are nominal for frames in a folder"
+    return Traverse(path.stem, f"{path.parent.name} {path.name}", tuple(rows), pictures, notes=notes)
 
 
 def _kept(path: Path, names: list[str], file: Path) -> list[int]:

@@ -17,6 +17,9 @@ LAYOUTS = (
     ("times.txt", "kitti"),
     ("metadata.yaml", "rosbag"),
     ("front-imgs", "fred"),
+    ("global_pose", "comma2k19"),
+    ("rlog", "comma2k19"),
+    ("rlog.[bz]*", "comma2k19"),
 )
 """A file that only one layout has, and its kind."""
 

@@ -59,14 +59,10 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     for fix, name in placed:
         last_ns = max(fix.stamp_ns, last_ns + 1)
         rows.append(row_at(name, replace(fix, stamp_ns=last_ns)))
-    return Traverse(
-        name=path.name,
-        source=f"pictures in {path.name}",
-        rows=tuple(rows),
-        pictures=PictureFiles([path / name for _, name in placed]),
-        notes="" if not untimed else "times are nominal: in the order of the names",
-        fov_deg=fovs_deg.pop() if len(fovs_deg) == 1 else None,
-    )
+    pictures = PictureFiles([path / name for _, name in placed])
+    notes = "" if not untimed else "times are nominal: in the order of the names"
+    fov_deg = fovs_deg.pop() if len(fovs_deg) == 1 else None
+    return Traverse(path.name, f"pictures in {path.name}", tuple(rows), pictures, notes=notes, fov_deg=fov_deg)
 
 
 def read_exif(file: Path) -> tuple[TrackFix, float | None]:

@@ -62,12 +62,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         )
     ]
     pictures = PictureFiles([path / camera / name for name in names])
-    return Traverse(
-        name=f"kitti-{path.name}-{camera}",
-        source=f"KITTI odometry {path.name} {camera}",
-        rows=tuple(rows),
-        pictures=pictures,
-        notes="local_x_m right and local_y_m ahead of the first picture",
-        time_sigma_s=ONE_CLOCK_S,
-        fov_deg=of_kitti(path / "calib.txt", camera, pictures.read(0).shape[1]),
-    )
+    about = f"kitti-{path.name}-{camera}", f"KITTI odometry {path.name} {camera}"
+    notes = "local_x_m right and local_y_m ahead of the first picture"
+    fov_deg = of_kitti(path / "calib.txt", camera, pictures.read(0).shape[1])
+    return Traverse(*about, tuple(rows), pictures, notes=notes, time_sigma_s=ONE_CLOCK_S, fov_deg=fov_deg)

@@ -76,15 +76,11 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
             raise FeedError(f"--crop-bottom: {crop_bottom} rows of {image.shape[0]} leave nothing")
         return np.asarray(image[: image.shape[0] - crop_bottom], dtype=np.uint8)
 
-    return Traverse(
-        name=f"{path.name}-{name.replace('/', '-')}",
-        view=camera.view,
-        source=f"Oxford RobotCar {path.name} {name}",
-        rows=_track(path, options.positions or "ins").rows(str(path / name), files, [us * 1000 for us in stamps_us]),
-        pictures=PictureFiles([path / file for file in files], develop, cv2.IMREAD_UNCHANGED),
-        notes=f"demosaicked, lowest {crop_bottom} rows cut off",
-        time_sigma_s=ONE_CLOCK_S,
-    )
+    rows = _track(path, options.positions or "ins").rows(str(path / name), files, [us * 1000 for us in stamps_us])
+    pictures = PictureFiles([path / file for file in files], develop, cv2.IMREAD_UNCHANGED)
+    about = f"{path.name}-{name.replace('/', '-')}", f"Oxford RobotCar {path.name} {name}"
+    notes = f"demosaicked, lowest {crop_bottom} rows cut off"
+    return Traverse(*about, rows, pictures, camera.view, notes, time_sigma_s=ONE_CLOCK_S)
 
 
 def _stamps_there(path: Path, folder: Path, camera: RobotCarCamera) -> list[int]:

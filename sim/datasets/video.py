@@ -21,7 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from edge.errors import FeedError
-from edge.feed import FeedRow
+from edge.feed import FeedRow, View
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.boxes import contents
 from sim.datasets.field_of_view import of_video
@@ -55,16 +55,9 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         )
         rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
     fov_deg, lens = of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height)
-    return Traverse(
-        name=path.stem,
-        view="rear" if REAR.search(files[0].stem) else "front",
-        source=path.name,
-        rows=rows,
-        pictures=joined.pictures,
-        notes=f"{len(files)} video(s), {len(fixes)} positions in them",
-        fov_deg=fov_deg,
-        lens=lens,
-    )
+    view: View = "rear" if REAR.search(files[0].stem) else "front"
+    notes = f"{len(files)} video(s), {len(fixes)} positions in them"
+    return Traverse(path.stem, path.name, rows, joined.pictures, view, notes, fov_deg=fov_deg, lens=lens)
 
 
 def _parts(folder: Path, camera: str | None) -> list[Path]:

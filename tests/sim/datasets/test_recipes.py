@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -27,10 +28,12 @@ EXAMPLES = Path(__file__).parents[3] / "docs/examples"
 BEGUN_S = 1_710_097_985.0
 
 
-def write_part(file: Path, levels: list[int]) -> None:
+def write_part(
+    file: Path, levels: list[int], codec: Literal["libx264", "libx265"] = "libx264", layout: str = "mpegts"
+) -> None:
     """A part of a video, 20 pictures a second, each of its own gray."""
-    with av.open(str(file), "w", format="mpegts") as container:
-        stream = container.add_stream("libx264", rate=20)
+    with av.open(str(file), "w", format=layout) as container:
+        stream = container.add_stream(codec, rate=20)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for index, level in enumerate(levels):
             frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), level, np.uint8), "bgr24")
