@@ -92,7 +92,7 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
     rows = [row for row in read_feed(tmp_path / "out").rows if row.distance_m is not None and row.lat_deg is not None]
     assert done.with_position >= len(rows) >= 3  # the link is up after two heartbeats, a second apart
     stamps_s, meters = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
-    assert np.diff(meters).min() == pytest.approx(1.0, abs=0.3)  # a busy machine uses fewer frames
+    assert np.diff(meters).min() == pytest.approx(1.0, abs=0.35)  # in tenths; a busy machine uses fewer frames
     assert np.diff(meters) / np.diff(stamps_s) == pytest.approx(speed_mps, rel=0.2)
     for row in rows:
         assert row.speed_mps == pytest.approx(speed_mps, abs=0.1)
