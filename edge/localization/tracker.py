@@ -336,14 +336,14 @@ class Tracker:
         if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or not self._is_placed:
             return
         seen, at = self._georeferencer.structure_measurement(match, timestamp_sigma_m), self._at
-        line = self._georeferencer.of(match, timestamp_sigma_m)  # also where no sequence ends in this frame
-        if seen is None or line is None or at is None or at.motion is None:
+        if seen is None or at is None or at.motion is None:
             return
-        agreeing, slot = self._structure.count(seen, _vector(at.motion), self.bank.right.truly), None
+        line = self._georeferencer.of(match, timestamp_sigma_m)  # also where no sequence ends in this frame
+        if line is None or self._structure.count(seen, _vector(at.motion), self.bank.right.truly) < FIRST:
+            return
         track = self._track or TrackScore(self._by_chance(line))
-        if agreeing >= FIRST:
-            slot = self.bank.all.slot(seen.drive, seen.errors)
-        if slot is None or not measurements.by_structure(self.bank.all, slot, seen)[0]:
+        slot = self.bank.all.slot(seen.drive, seen.errors)
+        if not measurements.by_structure(self.bank.all, slot, seen)[0]:
             return
         self._add(track, line, stamp_ns)
         origin = self._georeferencer.origin
