@@ -7,7 +7,6 @@ most accurate at its midpoint, and measures the vehicle's along-track position o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 from edge.config import Config, RigConfig
 from edge.geodesy import Origin, east_north_of
 from edge.localization.events import GpsFix
-from edge.localization.filter import GATE, left_of
+from edge.localization.filter import left_of
 from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
 from edge.localization.pose_measurement import PoseMeasurement, Vector, camera_pose
 from edge.localization.state import DriveErrors, Matrix
@@ -39,13 +38,6 @@ WANDERS = 0.5
 time."""
 CREPT_WITHIN_M = 1000.0
 """Of a drive whose positions crept nobody knows where they were right: so far from there all are as uncertain."""
-
-
-INDEPENDENT_M = 38.0
-"""Driven between two of structure whose errors are independent: they correlate by about 0.25 at 20 m, and 0 at 40 m."""
-DRIFT, FAR_M = 0.015, 60.0
-"""Of the odometer between two, less what the filter knows of it, one standard deviation; and how far apart they may be
-at most."""
 
 
 class LocalMidpoint(NamedTuple):
@@ -108,46 +100,6 @@ class StructureMeasurement:
         """East and north (2, 2)."""
         axes = np.array([self.midpoint.along, left_of(self.midpoint.along)])
         return np.asarray(axes.T @ np.diag(np.square(self.sigma_m)) @ axes)
-
-
-class StructureAgreement:
-    """How many in a row agree: one that is wrong by a few meters may pass an innovation test, but agrees with no other.
-
-    On road 13402 at dusk, 2 of 76 matches were wrong, and 2 of 26 that were handed on 7 and 4 m off without it.
-    """
-
-    def __init__(self) -> None:
-        self.clear()
-
-    def clear(self) -> None:
-        """No motion leads from those so far to the next one."""
-        self._newest: tuple[StructureMeasurement, Vector] | None = None
-        self._count = 0
-        self._handed_m: Vector | None = None
-
-    def is_independent(self) -> bool:
-        """Whether the newest one is to be handed on: two before agree with it, and the last such one is far enough."""
-        if self._newest is None or self._count <= 2:
-            return False
-        there_m = self._newest[1]
-        if self._handed_m is not None and float(np.hypot(*(there_m - self._handed_m)[:2])) < INDEPENDENT_M:
-            return False
-        self._handed_m = there_m
-        return True
-
-    def count(self, seen: StructureMeasurement, moved_m: Vector, truly: Callable[[Vector, Vector], Vector]) -> int:
-        """With a further one. moved_m: (4,) by the autopilot's velocity, at this frame. truly: see `Filter`."""
-        there_m, before = moved_m - seen.midpoint.since_m, self._newest
-        self._newest, self._count = (seen, there_m), self._count + 1
-        if before is not None and before[0].drive == seen.drive:
-            between_m = there_m - before[1]
-            off_m = seen.midpoint.place_m - before[0].midpoint.place_m - truly(between_m[:2], between_m[2:])
-            driven_m = float(np.hypot(*between_m[:2]))
-            spread = seen.covariance + before[0].covariance + (DRIFT * driven_m) ** 2 * np.eye(2)
-            if driven_m <= FAR_M and float(off_m @ np.linalg.solve(spread, off_m)) <= GATE[2]:
-                return self._count
-        self._count = 1
-        return 1
 
 
 class Georeferencer:

@@ -26,7 +26,7 @@ from edge.localization.filter import CORRELATION_M, GATE, Filter, FilterStep, le
 from edge.localization.fused_poses import FIRST, FixCandidate, FusedPoses
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name, Row
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
-from edge.localization.sequence_match import Georeferencer, SequenceMatch, StructureAgreement
+from edge.localization.sequence_match import Georeferencer, SequenceMatch
 from edge.localization.state import (
     COMPASS,
     GPS_M,
@@ -34,11 +34,11 @@ from edge.localization.state import (
     HEADING,
     POSITION,
     SCALE,
-    VELOCITY,
     DriveErrors,
     Slot,
     Vector,
 )
+from edge.localization.structure_agreement import StructureAgreement
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -339,21 +339,15 @@ class Tracker:
         if seen is None or at is None or at.motion is None:
             return
         line = self._georeferencer.of(match, timestamp_sigma_m)  # also where no sequence ends in this frame
-        if line is None or self._structure.count(seen, _vector(at.motion), self.bank.right.truly) < FIRST:
+        if line is None or not self._structure.agrees(seen, _vector(at.motion), self.bank.right):
             return
         track = self._track or TrackScore(self._by_chance(line))
-        slot = self.bank.all.slot(seen.drive, seen.errors)
-        if not measurements.by_structure(self.bank.all, slot, seen)[0]:
+        if not self._structure.correct(self.bank.all):
             return
         self._add(track, line, stamp_ns)
-        origin = self._georeferencer.origin
-        if origin is not None and self._structure.is_independent():
-            state, midpoint = self.bank.right, seen.midpoint
-            since_m = midpoint.since_m[:2], midpoint.since_m[2:]
-            slopes = state.slopes(*since_m)
-            covariance = seen.covariance + slopes @ state.covariance[VELOCITY, VELOCITY] @ slopes.T
-            position_m, heading_rad = midpoint.place_m + state.truly(*since_m), float(np.arctan2(*midpoint.along))
-            self._poses.hand_on(position_m, covariance, heading_rad, seen.errors, at, self._exposure, origin)
+        handed_on, origin = self._structure.handed_on(self.bank.right), self._georeferencer.origin
+        if handed_on is not None and origin is not None:
+            self._poses.hand_on(*handed_on, seen.errors, at, self._exposure, origin)
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
