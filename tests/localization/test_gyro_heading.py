@@ -12,7 +12,7 @@ from tests.common import S
 
 
 def test_the_autopilots_heading_only_begins_it() -> None:
-    """The autopilot turns its heading afterwards, as one that follows a GPS that is dragged: that turns nothing."""
+    """The autopilot turns its heading afterwards, as one that follows a GPS that is spoofed: that turns nothing."""
     own = GyroHeading()
     for step in range(200):
         follows_rad = 0.05 * step / 10 - 0.15 * min(1.0, step / 100)

@@ -103,7 +103,7 @@ def test_what_is_no_truth_enters_no_map(
     assert bool(logs_in(tmp_path)) == (not why), "no file without a place"
 
 
-def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
+def test_gps_that_is_spoofed_ends_mapping(tmp_path: Path) -> None:
     """By 2 m/s at 8 m/s to 100 m; also once it stays there, until the odometer begins again."""
     mapped = live(tmp_path)
     states = []

@@ -84,7 +84,7 @@ def test_a_reset_that_is_further_from_the_truth_than_the_autopilot_was_is_counte
     heading_rad = np.radians(drive.heading_deg(at_s - 0.5))
     ahead_m = east_m * np.sin(heading_rad) + north_m * np.cos(heading_rad)
     right_m = east_m * np.cos(heading_rad) - north_m * np.sin(heading_rad)
-    share = 2.5 / own_m  # of the autopilot's own error: 2.5 m further, twice by a look and once by a line
+    share = 2.5 / own_m  # of the autopilot's own error: 2.5 m further, twice by a pose and once by a sequence
     offsets = [(1.0 + share, 7), (1.0 + share, 7), (1.0 + share, 0), (1.0, 0)]
     messages = [
         position(drive, at_s, by * ahead_m, by * right_m + 0.01 * number) for number, (by, _) in enumerate(offsets)
