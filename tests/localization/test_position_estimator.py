@@ -166,7 +166,7 @@ def test_maps_that_grow_change_nothing_and_others_begin_anew(road: Road) -> None
     one.go(250, gps=True)
     place = one.place
     one.drive.update(one.t_ns, MapUpdate(road.maps, has_grown=True))
-    assert one.place == place is not None
+    assert place is not None and one.place == place
     one.drive.update(one.t_ns, MapUpdate(road.maps))
     assert one.place is None and one.drive.state.gps.state == "consistent"
 
