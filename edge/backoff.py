@@ -37,7 +37,7 @@ class Exchange:
         """
         self._wait_ns, self.pause = wait_ns, pause or BackOff(0, 0)
         self.most, self._refusals_most = most, refusals_most
-        self.times = self.refusals = 0
+        self.times, self.refusals = 0, 0
         self._asked_ns: int | None = None
 
     @property

@@ -50,7 +50,7 @@ class OpenedParts:
         frames, mapping_frames, network: instead of those that the config names.
         """
         self.config, self.clock_ns = config, clock_ns
-        self.frames_used = self.events = 0
+        self.frames_used, self.events = 0, 0
         self.times = StageTimes()
         self.journal: QueuedJournal | None = None
         self.record: Callable[[Record], object] = lambda record: None

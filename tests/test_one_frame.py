@@ -49,7 +49,7 @@ READS = "telemetry/position_history.py"
 USED_FRAME_FILES_MOST = 46
 """A file counts once, if any function of it is called. Five keep the evidence and decide by it, and one of them is the
 whole decision; a network says which regions of a picture it needs. Two believe a place with where the vehicle is
-reckoned to be, one moves it by its gyros, and one looks at keypoints."""
+reckoned to be, one moves it by its gyros, and one reads keypoints."""
 TURN_FILES_MOST = 63
 """Of a turn that reads a local position as well. One selects the sources of an autopilot that fuses poses, and one is
 the table of what each autopilot can do."""

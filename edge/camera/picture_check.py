@@ -92,7 +92,7 @@ class PictureFaultDetector:
     def __init__(self, min_speed_mps: float = 0.0) -> None:
         """min_speed_mps: a slower vehicle stands."""
         self._min_speed_mps, self._last = min_speed_mps, np.zeros(0, np.float32)
-        self._same_since_ns = self._stamp_ns = 0
+        self._same_since_ns, self._stamp_ns = 0, 0
         self._blank_since_ns: int | None = None
         self._reopening = BackOff(REOPEN_FIRST_NS, REOPEN_LAST_NS)
         self._before: Information | None = None  # of an image some meters back

@@ -161,7 +161,7 @@ class _Slip:
 
     def __init__(self, speed_mps: float = 0.0) -> None:
         self._speed_mps = speed_mps
-        self._log = self._most = self._driven_m = 0.0
+        self._log, self._most, self._driven_m = 0.0, 0.0, 0.0
 
     def doubtful(self, elapsed_ns: int, speed_mps: float) -> float:
         """The share of the speed, which was reported so long after the last one, that is in doubt."""
@@ -171,7 +171,7 @@ class _Slip:
             self._log += math.log(max(speed_mps, SLOW_MPS) / max(before_mps, SLOW_MPS))
             self._most, self._driven_m = max(self._most, abs(self._log)), 0.0
         elif abs(self._log) < TAKEN_BACK * self._most or self._driven_m > DOUBTED_M:
-            self._log = self._most = 0.0
+            self._log, self._most = 0.0, 0.0
         return 1 - math.exp(-self._log)
 
 
@@ -186,7 +186,7 @@ class DeadReckoning:
         self._slip = _Slip()
         self.gaps = 0
         """How often the distance leads on from nothing before: a speed came too late, or BACKED_M were backed."""
-        self._speed_mps = self._forward_mps = 0.0
+        self._speed_mps, self._forward_mps = 0.0, 0.0
         self.set_off_ns: int | None = None
         """When the vehicle set off last; None where no report showed that."""
         self._behind_m = 0.0

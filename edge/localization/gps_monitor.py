@@ -141,8 +141,11 @@ class GpsMonitor:
         self._call = math.log((1 - gates.gps_missed) / gates.gps_false_call)
         self._unseen_road: UnseenRoad | None = None
         self._state: GpsState = "cannot say"
-        self._agreed_m = self._gap_m = 0.0  # of places that were compared; once it is left, of those where it is near
-        self._has_agreed = self._is_suspected = False
+        self._agreed_m, self._gap_m = (
+            0.0,
+            0.0,
+        )  # of places that were compared; once it is left, of those where it is near
+        self._has_agreed, self._is_suspected = False, False
         self.verdict = GpsVerdict()
         """What the places say of GPS by the frames so far, "faulty" until it is consistent again."""
 
@@ -181,7 +184,7 @@ class GpsMonitor:
         now = GpsEvidence(*told, *meters, tracker.follows_gps, is_far)
         was, self._state = self._state, next_state(self._state, now)
         if self._state == "consistent":
-            self._has_agreed = tracker.follows_gps = True
+            self._has_agreed, tracker.follows_gps = True, True
         elif self._state == "faulty" and tracker.follows_gps:
             tracker.call_gps(likelier)
             off_m = tracker.gps_off_m
@@ -245,7 +248,7 @@ class UnseenRoad:
     def reset(self) -> None:
         """Nothing is known of where the vehicle was recognized last."""
         self._last: PlaceMatch | None = None
-        self._firm_m = self._ahead_m = self._beside_m = self._doubt = 0.0
+        self._firm_m, self._ahead_m, self._beside_m, self._doubt = 0.0, 0.0, 0.0, 0.0
         self.unseen_m = 0.0  # that GPS went on along the drive without any of it being recognized
 
     def is_unseen(self, doubt: float) -> bool:

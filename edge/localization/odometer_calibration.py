@@ -139,7 +139,7 @@ class OdometerCalibration:
         self._newest = _Reading(stamp_ns, driven_m, speed_mps)
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # another counter, or damage
             self._readings.clear()
-            self._began = self._without = None
+            self._began, self._without = None, None
             return
         self._readings.append(self._newest)
         if self._fix is not None and stamp_ns - self._fix[0] > 2 * REPORTS_APART_NS and own_m is not None:
@@ -181,11 +181,11 @@ class OdometerCalibration:
         design, ways_m, variances = spans[:, [0, 3]], spans[:, 1], spans[:, 2]
         information = (design.T / variances) @ design + np.diag([0.0, LAG_S**-2])
         covariance = np.linalg.inv(information)
-        scale, _ = found = covariance @ (design.T @ (ways_m / variances))
+        found = covariance @ (design.T @ (ways_m / variances))
         # What differs from span to span by more than a receiver does, differs later on as well: wheels that spin.
         off_m2 = float(np.sum((ways_m - design @ found) ** 2 - variances))
         varies = max(0.0, off_m2) / float(np.sum(spans[:, 0] ** 2))
-        mean, sigma = float(scale) - 1, math.sqrt(covariance[0, 0] + varies / len(spans))
+        mean, sigma = float(found[0]) - 1, math.sqrt(covariance[0, 0] + varies / len(spans))
         if float(np.sum(spans[:, 0])) >= LEARNED_M:
             self.found = ScaleFactor(mean, sigma)
         old = self.learned

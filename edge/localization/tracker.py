@@ -79,8 +79,8 @@ class TrackScore:
 
     def __init__(self, by_chance: float) -> None:
         self.newest: SequenceMatch | None = None
-        self.stamp_ns = self.matches = self.disagreeing = 0
-        self.since_m = self.driven_m = self.confidence = 0.0
+        self.stamp_ns, self.matches, self.disagreeing = 0, 0, 0
+        self.since_m, self.driven_m, self.confidence = 0.0, 0.0, 0.0
         self.by_chance = by_chance
 
     def add(self, measured: SequenceMatch, stamp_ns: int) -> None:
@@ -111,7 +111,7 @@ class Tracker:
         """Whether GPS counts as a measurement: it was neither declared faulty nor left."""
         self.may_leave_gps = False
         """Whether keypoint poses that contradict GPS are enough to leave it."""
-        self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
+        self._is_bound, self._is_shown = False, False  # by GPS: the position, and the scale of the velocity without it
         self.reset()
 
     def reset(self) -> None:
@@ -119,7 +119,7 @@ class Tracker:
         self._georeferencer.clear()
         self.is_checked = False
         """Whether the drive of the newest match moved as its vehicle did."""
-        self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
+        self._is_placed, self._is_begun = False, False  # where the vehicle is: known, or begun at the newest match
         self._gps_m: Vector | None = None
         self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
@@ -251,7 +251,7 @@ class Tracker:
         self.bank.begin(right)
         self.bank.all.lose_gps()
         self.bank.all.set(COMPASS, 0.0, MISLED_RAD**2)
-        self.follows_gps = self._is_shown = False
+        self.follows_gps, self._is_shown = False, False
         self._lose_position(self._track)  # the filter that followed GPS had the vehicle there
 
     def doubt_scale(self) -> None:

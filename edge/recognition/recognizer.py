@@ -146,7 +146,7 @@ class PlaceRecognizer:
         """
         raw = self.describe(image)
         frame = _UsedFrame(raw, stamp_ns, travel.distance_m)
-        self.was_carried = self.is_in_line = False
+        self.was_carried, self.is_in_line = False, False
         if self._used.stands_still(frame) and not self._is_first_with_distance(frame):
             # A feed whose every frame is a place has passed one, even if it looks like the last.
             self._used.unmoved += self.config.sampling.by == "frames"
@@ -184,7 +184,7 @@ class PlaceRecognizer:
         self, image: NDArray[np.uint8], stamp_ns: int, travel: MotionPrior = NOTHING_KNOWN
     ) -> PlaceMatch | None:
         """Such a picture (H, W, 3) uint8 BGR: a place that is believed by keyframe matches, else None."""
-        self.was_carried = self.is_in_line = False
+        self.was_carried, self.is_in_line = False, False
         return self._verify_again(image, _UsedFrame(self.describe(image), stamp_ns, travel.distance_m), travel)
 
     def _is_verification_due(self, stamp_ns: int) -> bool:

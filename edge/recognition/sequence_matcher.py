@@ -173,17 +173,17 @@ class SequenceMatcher:
         step, usual = self._steps.next(odometer_m, travel.missed, self._drives.spacing_m), self._usual_step
         if step > (1 + MOST_MISSED * self._config.sequence_frames) * usual:  # too long for one sequence
             self.reset()
-        match = self.best = self._best_line(raw, travel, step, usual, is_measured=odometer_m is not None)
+        self.best = self._best_line(raw, travel, step, usual, is_measured=odometer_m is not None)
         some_excluded = self.search.part is not None and self.search.part.excludes
         settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         self._consensus.settings, self._of_halves.settings = settings, settings.of_halves()
         prior = self._prior(travel.dead_reckoning)
-        belief = self._consensus.update(self._vote(match), odometer_m, step, *(prior or ()))
+        belief = self._consensus.update(self._vote(self.best), odometer_m, step, *(prior or ()))
         both = belief, self._belief_of_halves(odometer_m, step, prior)
         belief = max(filter(None, both), key=lambda one: one.confidence, default=None)
         if image is not None and self._keyframes is not None and self._keyframes.is_due(self._consensus.driven_m):
             self._verify(image, travel, self.search.nearest)
-        believed = self._believed(match, belief, prior)
+        believed = self._believed(self.best, belief, prior)
         self._follow(believed)
         self._stopwatch("belief")
         if self._structure is not None and image is not None:

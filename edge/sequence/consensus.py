@@ -232,7 +232,7 @@ class PlaceConsensus:
     def reset(self) -> None:
         """Start again without votes, as after a gap in which nothing is known of the motion."""
         self._count = 0
-        self.driven_m = self.uncertain_m = 0.0
+        self.driven_m, self.uncertain_m = 0.0, 0.0
         """Driven by the newest frame, and how uncertain that is."""
         self._odometer_m: float | None = None
         self._newest = np.zeros(0, np.intp)

@@ -53,7 +53,7 @@ class Prior:
     def __init__(self, sigma_m: float, squares_m2: NDArray[np.float32]) -> None:
         """sigma_m: of the position. squares_m2: of its distances from the places (N,) that are searched."""
         self._along_m, cross_m = math.hypot(sigma_m, ALONG_M), math.hypot(sigma_m, CROSS_TRACK_M)
-        self._mean = self.road = 1.0
+        self._mean, self.road = 1.0, 1.0
         """How much more likely the position is on the map's roads than beside them."""
         self.excludes_elsewhere = sigma_m <= ALONG_M
         """Whether it tells a place from those beyond its surroundings ([acceptance] window_m), which may look alike."""

@@ -52,7 +52,7 @@ class _Fix:
         """Since when it has been, None while it is not."""
         self._bad_ns: int | None = None
         self._lost_ns = LOST_NS
-        self.is_healthy = self._had_outage = False
+        self.is_healthy, self._had_outage = False, False
 
     def begin(self) -> None:
         """Whoever reports now was silent before."""

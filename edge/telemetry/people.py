@@ -53,7 +53,7 @@ class PeopleLink:
         self.kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
         """MAV_TYPE of our heartbeats."""
         self._lines: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
-        self._heartbeat_ns = self._line_ns = self._place_ns = 0
+        self._heartbeat_ns, self._line_ns, self._place_ns = 0, 0, 0
 
     def send(self, messages: Iterable[Message]) -> None:
         """Send messages, as far as the port takes them."""

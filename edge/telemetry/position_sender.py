@@ -70,8 +70,8 @@ class PositionSender:
         self._reset_ns = 0  # when a stream was helped by a reset last; 0 before
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
-        self._misled_ns = self._stopped_ns = 0  # since when it is not, and when it was stopped last
-        self._asked_ns = self._hole_ns = 0
+        self._misled_ns, self._stopped_ns = 0, 0  # since when it is not, and when it was stopped last
+        self._asked_ns, self._hole_ns = 0, 0
         self._judged_ns: int | None = None  # the moment of the newest position that was sent, or withheld
         self._kept_up_ns = 0  # when a sensor was last kept healthy without a pose
         self._refused = NoFix(NO_PLACES)

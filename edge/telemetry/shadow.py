@@ -73,7 +73,7 @@ class Shadow:
         self._estimator = PositionEstimator(config)
         self._record, self._min_speed_mps = record, config.gates.min_speed_mps
         self._was_bound = False
-        self._due_ns = self._last_ns = 0
+        self._due_ns, self._last_ns = 0, 0
         self._history: PositionHistory | None = None
         self._waiting: ExposureQueue[ShadowPosition]
 

@@ -119,7 +119,7 @@ class SourceSelection:
             self._command.pause.failed(now_ns)
             self._publish(NO_ANSWER)
         wanted = self.wanted
-        if wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
+        if wanted is None or wanted == self._selected or (wanted == GPS_SET and self.in_use == GPS_SET):
             return []
         if self._is_reported and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
             self._command.answered()

@@ -63,7 +63,7 @@ class Vehicle:
         """Whether it gets keypoint poses as measurements."""
         self._has_warned = False
         self._turns_ns: deque[int] = deque(maxlen=TURNS)
-        self._heard_ns = self._read_ns = 0
+        self._heard_ns, self._read_ns = 0, 0
         self._beats_ns: dict[int, int] = {}  # heartbeats, by system
         self._modes = Modes()
 

@@ -83,7 +83,7 @@ class VehicleVelocity:
         self.without_gps.end_leg()
         self.listen(0, 0.0, None)
         self.shown = OdometerCalibration() if not is_same_vehicle else self.shown
-        self._wheels = self._own = self._seen = None
+        self._wheels, self._own, self._seen = None, None, None
         self._tilt = 0, 0.0, 0.0
         self._speeds.clear()
         self.aid = replace(self.aid, is_any=True)

@@ -211,7 +211,7 @@ def test_what_a_page_says_of_a_table_stands_in_the_table(page: Path) -> None:
     said = [one for one in re.split(r"\n\s*\n|\n- ", text) if f"](tables/{page.name}#" in one]
     linked = {anchor for one in said for anchor in re.findall(rf"\(tables/{page.name}#([\w-]+)\)", one)}
     tables = WRITTEN.findall(table)
-    assert len(linked) == len(tables) > 0
+    assert len(linked) == len(tables) and len(tables) > 0
     known = set(DECIMAL.findall(table))
     assert [(figure, one) for one in said for figure in DECIMAL.findall(one) if figure not in known] == []
 

@@ -51,7 +51,7 @@ def write_map(folder: Path, version: int) -> None:
 
 
 def read_map(folder: Path) -> int:
-    """The map's version, after every checksum has been looked at."""
+    """The map's version, after every checksum has been checked."""
     return int(open_map(folder / "map", every_file=True).header.segments[0].source)
 
 

@@ -75,7 +75,7 @@ def test_a_lookback_that_falls_silent_is_named_and_changes_nothing() -> None:
     assert autopilot.sets == [1], "GPS was wrong"
     assert autopilot.texts[1:] == ["Lookback is silent, GPS was doubted"] * 2
     hear(autopilot, 0.0, 5)
-    assert autopilot.sets == [1, 0], "it is back, and GPS agrees"
+    assert autopilot.sets == [1, 0], "it is back, and GPS is consistent"
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,7 @@ def test_no_gps_set_ups_have_a_speed_and_no_position_source() -> None:
         assert parameters["EK3_SRC1_POSXY"] == 0
         assert parameters["EK3_SRC1_VELXY"] == velocity
     rover = by_name(FILES / "ardupilot_rover.param")
-    assert rover["WENC_POS_Y"] != 0 != rover["WENC2_POS_Y"]
+    assert rover["WENC_POS_Y"] != 0 and rover["WENC2_POS_Y"] != 0
     assert rover["AHRS_OPTIONS"] == 3
 
 

@@ -19,9 +19,9 @@ def unit(rng: np.random.Generator, count: int) -> NDArray[np.int8]:
     return np.asarray(np.rint(127 * values / np.linalg.norm(values, axis=1, keepdims=True)), np.int8)
 
 
-def seen(points: NDArray[np.float64], ahead: float, aside: float = 0.0) -> NDArray[np.float32]:
+def seen(points: NDArray[np.float64], ahead: float, sideways: float = 0.0) -> NDArray[np.float32]:
     """Pixels of points (N, 3), right, down and ahead in meters, from a camera so many meters ahead and to the right."""
-    moved = points - (aside, 0.0, ahead)
+    moved = points - (sideways, 0.0, ahead)
     return (moved[:, :2] / moved[:, 2:] * 190 + (159.5, 119.5)).astype(np.float32)
 
 
@@ -42,7 +42,7 @@ def test_points_that_moved_as_a_camera_does_are_inliers_and_others_are_not(
 ) -> None:
     points, descriptors = scene
     rng = np.random.default_rng(5)
-    query, wrong = seen(points, ahead=2.0, aside=0.5), np.arange(0, 200, 4)
+    query, wrong = seen(points, ahead=2.0, sideways=0.5), np.arange(0, 200, 4)
     query[wrong] += rng.uniform(20, 60, (len(wrong), 2)).astype(np.float32)  # alike, and elsewhere
     order = rng.permutation(200)
     found = verify(picture(query, descriptors), picture(seen(points, 0.0)[order], descriptors[order]))

@@ -21,9 +21,9 @@ def mounted(directions: NDArray[np.float64], down_deg: float, right_deg: float) 
     """What a level camera sees in these directions (..., 2), as one sees it that is turned right, then down."""
     rays = np.concatenate([directions, np.ones((*directions.shape[:-1], 1))], axis=-1)
     right, down = np.radians([right_deg, down_deg])
-    aside = np.array([[np.cos(right), 0, -np.sin(right)], [0, 1, 0], [np.sin(right), 0, np.cos(right)]])
+    sideways = np.array([[np.cos(right), 0, -np.sin(right)], [0, 1, 0], [np.sin(right), 0, np.cos(right)]])
     nod = np.array([[1, 0, 0], [0, np.cos(down), -np.sin(down)], [0, np.sin(down), np.cos(down)]])
-    turned = rays @ (nod @ aside).T
+    turned = rays @ (nod @ sideways).T
     found: NDArray[np.float64] = turned[..., :2] / turned[..., 2:]
     return found
 
@@ -67,7 +67,7 @@ def test_level_directions_are_those_of_rays_turned_back() -> None:
     assert mount.leveled(mounted(directions, np.degrees(0.1), np.degrees(-0.2))) == pytest.approx(directions)
 
 
-def test_directions_of_both_say_how_far_a_camera_looks_aside() -> None:
+def test_directions_of_both_say_how_far_a_camera_points_sideways() -> None:
     mount, directions = Mount(np.array([0.1, -0.2]), np.eye(2)), np.random.default_rng(0).uniform(-0.8, 0.8, (30, 2))
     assert yaw_of(directions, mount.leveled(directions)) == pytest.approx(-0.2)
 

@@ -1,4 +1,4 @@
-"""Poses from one look, against cameras whose place is known."""
+"""Poses from one picture, against cameras whose place is known."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 HOME = (3.5, 1.0, 0.05, 0.02)
 
 
-def one_look(
+def one_pose(
     seed: int, camera: tuple[float, ...], roll: float = 0.0, *, wrong: float = 0.3
 ) -> tuple[RelativePose | None, NDArray[np.float64]]:
     """A pose, and how far it is off in sigmas: right, ahead, turned. roll: in radians. wrong: share of the matches."""
@@ -34,17 +34,17 @@ def one_look(
 
 @pytest.mark.parametrize("camera", [HOME, (-0.5, -4.0, 0.0, 0.0), (0.0, 6.0, -0.1, -0.03), (3.5, 1.0, 0.05, -0.35)])
 def test_one_keyframe_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) -> None:
-    looks = [one_look(seed, camera, 0.1 * (seed % 2)) for seed in range(12)]
-    assert all(pose is not None and pose.inliers > 50 for pose, _ in looks)
-    rms = np.sqrt(np.mean([off**2 for _, off in looks], axis=0))
+    poses = [one_pose(seed, camera, 0.1 * (seed % 2)) for seed in range(12)]
+    assert all(pose is not None and pose.inliers > 50 for pose, _ in poses)
+    rms = np.sqrt(np.mean([off**2 for _, off in poses], axis=0))
     assert (rms < 1.6).all(), rms
-    sharp, blurred = ([np.diag(one.scaled(0.0, of).covariance) for one, _ in looks if one] for of in (1.0, SHARP / 4))
+    sharp, blurred = ([np.diag(one.scaled(0.0, of).covariance) for one, _ in poses if one] for of in (1.0, SHARP / 4))
     assert (np.median(np.sqrt(sharp), axis=0) < [0.5, 0.5, 0.02]).all()
     np.testing.assert_allclose(blurred, 4 * np.array(sharp))
 
 
 def test_a_pose_aside_is_not_pulled_to_where_the_map_was_driven() -> None:
-    off = np.mean([one_look(seed, HOME, wrong=0.0)[1] for seed in range(30)], axis=0)
+    off = np.mean([one_pose(seed, HOME, wrong=0.0)[1] for seed in range(30)], axis=0)
     assert np.abs(off[[0, 2]]).max() < 0.7, off
 
 

@@ -158,7 +158,7 @@ class Vehicle(StandIn):
         self.road, self.direction = road, direction
         self.sign = 1 if direction == "forward" else -1
         self.north_m, self.driven_m = north_m, 0.0
-        self.odometer, self.aside_m, self.off_m, self.compass_rad, self.nose_deg = 1.0, 0.0, 0.0, 0.0, 0.0
+        self.odometer, self.sideways_m, self.off_m, self.compass_rad, self.nose_deg = 1.0, 0.0, 0.0, 0.0, 0.0
 
     def copy(self) -> Vehicle:
         """The same vehicle, for another way to go on; road and map are shared."""
@@ -184,7 +184,7 @@ class Vehicle(StandIn):
         self.t_ns += FRAME_NS
         self.north_m += self.sign * SPACING_M
         self.driven_m += self.odometer * SPACING_M
-        self.motion = self.moved(self.odometer * SPACING_M, self.aside_m)
+        self.motion = self.moved(self.odometer * SPACING_M, self.sideways_m)
 
     def show(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> GpsVerdict:
         """What a frame shows here; what is known of GPS then."""
@@ -200,7 +200,7 @@ class Vehicle(StandIn):
     def position(self) -> VehiclePosition:
         """Where the autopilot has it."""
         at = moved(*HOME, 0.0, self.north_m + self.off_m)
-        course_deg = math.degrees(math.atan2(self.aside_m, self.sign * SPACING_M))
+        course_deg = math.degrees(math.atan2(self.sideways_m, self.sign * SPACING_M))
         return VehiclePosition(
             self.t_ns, *at, 0.0, (course_deg + self.nose_deg) % 360, SPEED_MPS, self.sign * SPEED_MPS
         )

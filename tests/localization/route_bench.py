@@ -46,7 +46,7 @@ from tests.localization.route_course import HOME, SPACING_M, Course, Points, bui
 
 STEP_S, LENGTH = 0.1, 40
 OPPOSITE_M, SAME_M, STAYS_M = 8.0, 2.5, (2.5, 1.5)
-"""Errors of matches along the road where the cameras look opposite ways, as on these drives but those with looks, and
+"""Errors of matches along the road where the cameras look opposite ways, as on these drives but those with poses, and
 where they look the same way: one standard deviation of what changes, and of what stays. docs/evaluation.md measures
 them."""
 REVERSE_AHEAD_M = 3.0
@@ -55,7 +55,7 @@ CORRELATED_M, GPS_M, LANE_M = 50.0, 72.0, 0.7
 STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
-LOOKS_EVERY, LOOK_SIGMAS = 4, (0.3, 0.3, math.radians(0.6))  # as on the way home: docs/keypoints.md
+POSE_EVERY, POSE_SIGMAS = 4, (0.3, 0.3, math.radians(0.6))  # as on the way home: docs/keypoints.md
 TURN_RADIUS_M = 8.0
 ARRIVES = 2  # steps from an exposure to the answer to its frame
 STREAM_S = 0.2
@@ -122,7 +122,7 @@ class Bench(StandIn):
         rig = RigConfig(
             sigma_along_m=SAME_M, sigma_cross_track_m=2.5, look_sigma_m=0.05, look_ahead_reverse_m=REVERSE_AHEAD_M
         )
-        camera = CameraConfig(view="rear" if course.looks else "front")
+        camera = CameraConfig(view="rear" if course.poses else "front")
         config = Config(camera=camera, rig=rig, sequence=SequenceConfig(length=LENGTH))
         self.events: list[tuple[int, Entry]] = []
         super().__init__(maps, config, lambda t_ns, entry: self.events.append((t_ns, entry)))
@@ -131,7 +131,7 @@ class Bench(StandIn):
         heading_deg = rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg
         source: VelocitySource = "velocity sensor" if is_stream else "wheels"
         self.errors = OdometryErrors(source, 1 / scale, heading_deg=-heading_deg)
-        self.changes_m, stays_m = (SAME_M, STAYS_M[1]) if course.looks else (OPPOSITE_M, STAYS_M[0])
+        self.changes_m, stays_m = (SAME_M, STAYS_M[1]) if course.poses else (OPPOSITE_M, STAYS_M[0])
         self.bias_m = rng.uniform(-1.73, 1.73) * stays_m
         self.wander_m = rng.normal(0.0, self.changes_m)
         self.lane_m = rng.normal(0.0, LANE_M) if course.lane_m is None else course.lane_m
@@ -144,7 +144,7 @@ class Bench(StandIn):
         self.sent: FixTransmission | None = None
         self.bounded_ns = self.judged_ns = 0
         self.alias_now = False
-        self.unlooked = 0
+        self.since_pose = 0
 
     def run(self) -> Result:
         """The whole drive."""
@@ -323,27 +323,27 @@ class Bench(StandIn):
         alias, slope = self.alias_now, round(slope / SPACING_M * 50) / 50
         agreement = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
         return PlaceMatch(
-            first + row, first + row, "forward", "same" if self.course.looks else "swapped",
+            first + row, first + row, "forward", "same" if self.course.poses else "swapped",
             slope, 0.5, 1.2, sharpness=0.2, accepted=agreement >= 0.6, confidence=probability(agreement),
-            seen=self._seen(shown) if self.course.looks else None,
+            seen=self._seen(shown) if self.course.poses else None,
         )  # fmt: skip
 
     def _seen(self, shown: tuple[int, float] | None) -> KeyframeMatch | None:
-        """By one frame in LOOKS_EVERY: where the camera is, which looks back as the map's did."""
-        self.unlooked += 1
-        if shown is None or self.unlooked < LOOKS_EVERY:
+        """By one frame in POSE_EVERY: where the camera is, which looks back as the map's did."""
+        self.since_pose += 1
+        if shown is None or self.since_pose < POSE_EVERY:
             return None
-        self.unlooked, (number, along_m) = 0, shown
+        self.since_pose, (number, along_m) = 0, shown
         s = self.segments[number][1] + along_m
-        if self.course.looks_at != (0,):
-            number = int(self.rng.choice(self.course.looks_at))
+        if self.course.pose_segments != (0,):
+            number = int(self.rng.choice(self.course.pose_segments))
         first, begins_m, last_m, places = self.segments[number]
         row = min(round(abs(s - begins_m) / SPACING_M), places - 1)
         row_m = begins_m + math.copysign(row * SPACING_M, last_m - begins_m)
         back_m = row_m - s - (REVERSE_AHEAD_M if last_m < begins_m else 0.0)
-        right_m, ahead_m = self.rng.normal((-self.right_m, back_m), LOOK_SIGMAS[0])
-        covariance = np.diag(np.square(LOOK_SIGMAS))
-        turn_rad = self.turn_rad + self.rng.normal(0.0, LOOK_SIGMAS[2])
+        right_m, ahead_m = self.rng.normal((-self.right_m, back_m), POSE_SIGMAS[0])
+        covariance = np.diag(np.square(POSE_SIGMAS))
+        turn_rad = self.turn_rad + self.rng.normal(0.0, POSE_SIGMAS[2])
         return KeyframeMatch(first + row + self.course.late_rows, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
 
     def _shown(self, s: float) -> tuple[int, float] | None:

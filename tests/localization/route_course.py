@@ -59,7 +59,7 @@ class Course:
     map_off_m: east and north, of the whole map; lane_m: right of the map's drive. None draws them by seed as well.
     off_at_m: where the vehicle leaves the road, and how. alias: meters of the drive during which the unmapped road
     looks like the map from `alias_from_m` on. steers: the autopilot steers by its own estimate (closed loop).
-    looks_at: the segments that looks show, by chance one of them; lines are of the first that is there. late_s: by how
+    pose_segments: those that poses are of, by chance one of them; lines are of the first that is there. late_s: by how
     much a frame is older than it says. late_rows: by how many rows of the map the keypoints of its places are late.
     """
 
@@ -77,8 +77,8 @@ class Course:
     steers: bool = False
     speed_mps: float = 8.0
     laps: int = 1
-    looks: bool = False
-    looks_at: tuple[int, ...] = (0,)
+    poses: bool = False
+    pose_segments: tuple[int, ...] = (0,)
     late_s: float = 0.0
     late_rows: int = 0
 
@@ -121,7 +121,9 @@ def build_maps(
             ]
             for row, s in enumerate(at_m):
                 logged = min(int(s + stretch.late_m), len(line) - 1)
-                looks = heading[logged if stretch.has_odometer else int(s)]  # wheels, heading, positions: of one log
+                course_rad = heading[
+                    logged if stretch.has_odometer else int(s)
+                ]  # wheels, heading, positions: of one log
                 east_m, north_m = line[logged] + stretch.off_m(s)
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
                 route_m = (before[3] + row) * SPACING_M
@@ -130,7 +132,7 @@ def build_maps(
                     lat_deg,
                     lon_deg,
                     0.0,
-                    math.degrees(looks + math.pi * stretch.backward) % 360,
+                    math.degrees(course_rad + math.pi * stretch.backward) % 360,
                     route_m,
                 )
                 builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))

@@ -207,4 +207,4 @@ def test_a_velocity_by_rounded_positions_is_not_in_doubt() -> None:
         found = motion.displacement(49 * 16_000_000)
         assert found is not None
         doubtful_m.append(found.doubtful_east_m)
-    assert doubtful_m[0] == 0 != doubtful_m[1]
+    assert doubtful_m[0] == 0 and doubtful_m[1] != 0

@@ -165,7 +165,7 @@ def bursts(north_m: float) -> GpsFix:
 
 
 @pytest.mark.parametrize(
-    ("aside", "odometer", "gps", "state"),
+    ("sideways", "odometer", "gps", "state"),
     [
         pytest.param(0.125, 1.0, honest, "faulty", id="1 m/s at 8 m/s"),
         pytest.param(0.25, 1.0, honest, "faulty", id="1 m/s at 4 m/s"),
@@ -176,24 +176,24 @@ def bursts(north_m: float) -> GpsFix:
     ],
 )
 def test_gps_by_which_the_vehicle_leaves_the_road_is_wrong_where_own_motion_says_so(
-    tmp_path: Path, aside: float, odometer: float, gps: Callable[[float], GpsFix], state: str
+    tmp_path: Path, sideways: float, odometer: float, gps: Callable[[float], GpsFix], state: str
 ) -> None:
-    """It steers by a GPS that is dragged, which so stays on the lane; no place is recognized 16 m beside it.
+    """It steers by a GPS that is spoofed, which so stays on the lane; no place is recognized 16 m beside it.
 
     aside: meters to the side for each that is driven, from 300 m on.
     """
-    one, aside_m = Vehicle(Road(tmp_path, Stretch(0.0, 1360.0))), 0.0
+    one, sideways_m = Vehicle(Road(tmp_path, Stretch(0.0, 1360.0))), 0.0
     called_m = None
     while one.north_m < 1200.0 and called_m is None:
-        is_dragged = one.north_m >= 300.0
-        one.aside_m = aside * SPACING_M if is_dragged else 0.0
-        one.odometer = odometer if is_dragged or odometer > 0.9 else 1.0
-        aside_m += one.aside_m
+        is_spoofed = one.north_m >= 300.0
+        one.sideways_m = sideways * SPACING_M if is_spoofed else 0.0
+        one.odometer = odometer if is_spoofed or odometer > 0.9 else 1.0
+        sideways_m += one.sideways_m
         one.move()
-        shown = seen(one.north_m) if aside_m < 16.0 and one.north_m < 560.0 else unseen(one.north_m)
+        shown = seen(one.north_m) if sideways_m < 16.0 and one.north_m < 560.0 else unseen(one.north_m)
         found = one.show(shown, gps(one.north_m)).state
         assert found in ("cannot say", "consistent", "suspect", state)
-        called_m = aside_m if found == "faulty" else None
+        called_m = sideways_m if found == "faulty" else None
     assert found == state
     assert called_m is None or called_m < 35.0
 

@@ -19,8 +19,8 @@ from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps
 from tests.localization.route_course import SPACING_M, Stretch
 
 LENGTH_M, FROM_S, DRAWN = 900.0, 30.0, 590
-EVERY, LOOK_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
-"""Frames from look to look; how far off one is; which share of them is a second solution, and by how much."""
+EVERY, POSE_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
+"""Frames from pose to pose; how far off one is; which share of them is a second solution, and by how much."""
 SETTINGS = settings(RigConfig(look_sigma_m=0.01))
 SWITCHED = settings(SETTINGS.rig, GatesConfig(doubted_gps="switch"))
 
@@ -51,8 +51,8 @@ def drive(
 ) -> list[Called]:
     """Home on the map of a rear camera. odometer: what it measures of a meter, None if it is not known.
 
-    twin_m: from the middle on, looks have the vehicle that far beside where it is, as on a street that looks the same.
-    blind_s: of every 30 s, without a look. turns_dps: the bias of gyros from FROM_S on, and 150 m are
+    twin_m: from the middle on, poses have the vehicle that far beside where it is, as on a street that looks the same.
+    blind_s: of every 30 s, without a pose. turns_dps: the bias of gyros from FROM_S on, and 150 m are
     rebuilt. ends_in: the verdict with which the drive is over.
     """
     rng = np.random.default_rng([seed, 29])
@@ -66,13 +66,13 @@ def drive(
     map_m = gps_histories.usual(time_s, rng) / 1.2
     for frame, (off_m, mapped_m) in enumerate(zip(offsets_m[:count], map_m, strict=False)):
         one.move()
-        beside_m = mapped_m[0] + rng.normal(0.0, LOOK_M) + SECOND_M * (rng.random() < SECOND)
+        beside_m = mapped_m[0] + rng.normal(0.0, POSE_M) + SECOND_M * (rng.random() < SECOND)
         beside_m += twin_m if 2 * frame > count else 0.0
-        shown: PlaceMatch | None = looked(
+        shown: PlaceMatch | None = matched(
             one.north_m,
             -beside_m,
-            mapped_m[1] + rng.normal(0.0, LOOK_M),
-            is_look=frame % EVERY == 0 and time_s[frame] % 30 >= blind_s,
+            mapped_m[1] + rng.normal(0.0, POSE_M),
+            is_pose=frame % EVERY == 0 and time_s[frame] % 30 >= blind_s,
         )
         since_s = time_s[frame] - FROM_S
         one.compass_rad = -math.radians(turns_dps) * max(0.0, since_s)
@@ -85,12 +85,12 @@ def drive(
     return said
 
 
-def looked(at_m: float, west_m: float, north_m: float, *, is_look: bool) -> PlaceMatch:
-    """A line that ends 4 m off, and a look that is that far off."""
+def matched(at_m: float, west_m: float, north_m: float, *, is_pose: bool) -> PlaceMatch:
+    """A line that ends 4 m off, and a pose that is that far off."""
     place = round(at_m / SPACING_M)
-    covariance = np.diag(np.square([LOOK_M, LOOK_M, math.radians(0.5)]))
+    covariance = np.diag(np.square([POSE_M, POSE_M, math.radians(0.5)]))
     ahead_m = place * SPACING_M - at_m - north_m  # towards the south, where both cameras look
-    seen = KeyframeMatch(place, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_look else None
+    seen = KeyframeMatch(place, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_pose else None
     return match(place + 2, "reverse", order="same", seen=seen)
 
 
@@ -114,16 +114,16 @@ def test_a_drag_is_called_a_few_meters_off(
 
 
 def test_gps_by_which_a_vehicle_leaves_what_it_sees_is_called_by_own_motion(long_road: Road) -> None:
-    """The autopilot steers by a drag of 1 m/s; 7 m beside the road there are no more looks, and lines go on."""
-    one, aside_m, found = Vehicle(long_road, SETTINGS, LENGTH_M - 10.0, "reverse"), 0.0, []
+    """The autopilot steers by a drag of 1 m/s; 7 m beside the road there are no more poses, and lines go on."""
+    one, sideways_m, found = Vehicle(long_road, SETTINGS, LENGTH_M - 10.0, "reverse"), 0.0, []
     for frame in range(440):
-        one.aside_m = FRAME_NS / 1e9 if frame * FRAME_NS / 1e9 >= FROM_S else 0.0
-        aside_m += one.aside_m
+        one.sideways_m = FRAME_NS / 1e9 if frame * FRAME_NS / 1e9 >= FROM_S else 0.0
+        sideways_m += one.sideways_m
         one.move()
-        shown = looked(one.north_m, -aside_m, 0.0, is_look=frame % EVERY == 0 and aside_m < 7.0)
-        found.append(Called(one.show(shown, gps_at(one.north_m)).state, aside_m))
+        shown = matched(one.north_m, -sideways_m, 0.0, is_pose=frame % EVERY == 0 and sideways_m < 7.0)
+        found.append(Called(one.show(shown, gps_at(one.north_m)).state, sideways_m))
     assert called_m(found) < 14.0
-    assert found[-1].state == "faulty", "no line speaks for GPS soon after looks did not"
+    assert found[-1].state == "faulty", "no line speaks for GPS soon after poses did not"
 
 
 @pytest.mark.parametrize("drag_s", [12.0, 20.0, math.inf])
@@ -136,7 +136,7 @@ def test_a_drag_that_ends_in_a_jam_leaves_what_places_say(long_road: Road, drag_
         has_gps, one.off_m = time_s < 20.0 + drag_s, 0.5 * min(max(time_s - 20.0, 0.0), drag_s)
         one.move()
         one.own(has_gps=has_gps)
-        shown = looked(one.north_m, *rng.normal(0.0, LOOK_M, 2), is_look=frame % every == 0)
+        shown = matched(one.north_m, *rng.normal(0.0, POSE_M, 2), is_pose=frame % every == 0)
         one.show(shown, gps_at(one.north_m + one.off_m) if has_gps else None)
         if isinstance(answer := one.ask(), Fix):
             sigmas.append(abs(north_m(answer.place) - one.north_m) / answer.place.sigma_m)
@@ -155,7 +155,7 @@ HONEST: dict[str, Callable[[], gps_histories.History]] = {
     [*((kind, None, 0.0) for kind in HONEST), ("multipath", 0.97, 0.0), ("multipath", 0.9, 15.0)],
 )
 def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer: float | None, blind_s: float) -> None:
-    """Also where own motion, 10 % wrong, is held against it between looks."""
+    """Also where own motion, 10 % wrong, is held against it between poses."""
     for seed in (1, 2):
         said = drive(long_road, HONEST[kind](), seed, odometer, blind_s=blind_s)
         assert called_m(said) == called_m(said, "map faulty") == math.inf
@@ -193,7 +193,7 @@ def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(
 
 
 class Left(NamedTuple):
-    """After a frame: by how much GPS is dragged, whether it is ignored, and how far a pose that is new is off."""
+    """After a frame: by how much GPS is off, whether it is ignored, and how far a pose that is new is off."""
 
     drag_m: float
     is_ignored: bool
@@ -226,9 +226,9 @@ def left(
         at = gps_at(one.north_m + gps_m[1], drag_m + gps_m[0])
         position = replace(one.position, lat_deg=at.lat_deg, lon_deg=at.lon_deg)
         one.own(has_gps=True, fuses_poses=fuses_poses, position=position)
-        beside_m, along_m = rng.normal(0.0, LOOK_M, 2)
+        beside_m, along_m = rng.normal(0.0, POSE_M, 2)
         beside_m += 8.0 * (frame == wrong)
-        one.show(looked(one.north_m, beside_m, along_m, is_look=frame == wrong or frame % every == 0), at)
+        one.show(matched(one.north_m, beside_m, along_m, is_pose=frame == wrong or frame % every == 0), at)
         answer, off_m = one.ask(at="pose"), None
         if isinstance(answer, Fix) and answer.place.stamp_ns == one.t_ns:
             off_m = math.hypot(left_m(answer.place), north_m(answer.place) - one.north_m)
@@ -246,7 +246,7 @@ def test_gps_that_two_poses_contradict_is_left_where_poses_are_fused(long_road: 
     while_left = [one for one in said[first:] if one.is_ignored]
     assert np.count_nonzero(np.diff([one.is_ignored for one in said])) == 3
     offs_m = [one.pose_off_m for one in while_left if one.pose_off_m is not None]
-    assert len(offs_m) >= len(while_left) / every - 2 and max(offs_m) < 4 * LOOK_M, "each time from the next pose on"
+    assert len(offs_m) >= len(while_left) / every - 2 and max(offs_m) < 4 * POSE_M, "each time from the next pose on"
     right = [row for row, one in enumerate(said) if row > first and not one.drag_m]
     again = next(row for row in right if not said[row].is_ignored)
     assert 100.0 < SPACING_M * (again - right[0]) < 240.0

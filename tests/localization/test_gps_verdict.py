@@ -85,12 +85,12 @@ def shown(
     offset: Offset,
     error: NDArray[np.float64],
     sees: Callable[[float], PlaceMatch | None],
-    aside: float = 0.0,
+    sideways: float = 0.0,
 ) -> GpsVerdict:
     """The verdict at the next place."""
     one.move()
     off_m, seen = offset(one.north_m), sees(one.north_m + error[2])
-    one.motion = one.moved(east_m=aside * SPACING_M)
+    one.motion = one.moved(east_m=sideways * SPACING_M)
     return one.show(seen, None if off_m is None else gps_at(one.north_m + off_m[1] + error[1], off_m[0] + error[0]))
 
 
@@ -101,7 +101,7 @@ def drive(
     seed: int = 1,
     sees: Callable[[float], PlaceMatch | None] | None = None,
     odometer: float | None = 0.97,
-    aside: float = 0.0,
+    sideways: float = 0.0,
     ends_in: str = "",
 ) -> list[GpsVerdict]:
     """The verdict at each frame. For AGREES_M GPS is as right as it says, and places are where they are.
@@ -112,7 +112,7 @@ def drive(
     one, verdicts = agreed(road, seed, odometer)
     one, verdicts = one.copy(), verdicts.copy()
     for error in honest(seed)[len(verdicts) : int(meters / SPACING_M)]:
-        verdicts.append(shown(one, offset, error, sees or road.match, aside))
+        verdicts.append(shown(one, offset, error, sees or road.match, sideways))
         if verdicts[-1].state == ends_in:
             break
     return verdicts
@@ -320,7 +320,7 @@ def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(shaped: dict[bool, Roa
         return road.match(at_m) if at_m < AGREES_M + 6 * 20.0 else None
 
     offset: Offset = lambda at_m: (max(0.0, at_m - AGREES_M) / 6, 0.0)  # noqa: E731
-    assert "faulty" not in states(drive(road, offset, 1000.0, sees=sees, odometer=None, aside=1 / 6))
+    assert "faulty" not in states(drive(road, offset, 1000.0, sees=sees, odometer=None, sideways=1 / 6))
 
 
 @pytest.mark.parametrize("share", [1.0, pytest.param(0.75, marks=pytest.mark.long)])
@@ -351,7 +351,7 @@ def gone_with_gps(road: Road) -> Vehicle:
 
 @pytest.mark.parametrize(("share", "off_m"), [(0.12, 20.0), (0.12, 25.0), (0.25, 25.0), (0.06, 25.0)])
 @pytest.mark.parametrize("has_odometer", [True, False])
-def test_gps_that_is_dragged_and_jammed_before_it_is_called_bounds_nothing(
+def test_gps_that_is_spoofed_and_jammed_before_it_is_called_bounds_nothing(
     shaped: dict[bool, Road], share: float, off_m: float, has_odometer: bool
 ) -> None:
     """1 m/s at 8 and at 4 m/s, and 0.5 m/s. Positions come by the places."""
@@ -372,7 +372,7 @@ def test_a_street_beside_that_is_entered_without_gps_makes_no_gps_wrong(mapped: 
     one = Vehicle(mapped(replace(part(0, 900), has_odometer=True)))
     one.go(AGREES_M, gps=True)
     for frame in range(200):
-        one.aside_m = 0.5 if frame < 50 else 0.0
+        one.sideways_m = 0.5 if frame < 50 else 0.0
         one.go(2)
         assert one.drive.state.gps.state != "faulty"
     assert not any(isinstance(answer, Fix) for answer in one.answers(100))

@@ -12,7 +12,7 @@ from tests.common import S
 
 
 def test_the_autopilots_heading_only_begins_it() -> None:
-    """The autopilot turns its heading afterwards, as one that follows a GPS that is dragged: that turns nothing."""
+    """The autopilot turns its heading afterwards, as one that follows a GPS that is spoofed: that turns nothing."""
     own = GyroHeading()
     for step in range(200):
         follows_rad = 0.05 * step / 10 - 0.15 * min(1.0, step / 100)
@@ -39,8 +39,8 @@ def test_without_a_speed_nothing_is_known_and_the_heading_goes_on() -> None:
     for step in range(300):
         own.turn(S + step * S // 20, 0.05, 0.0, has_speed=not 100 <= step < 200)
         found.append(own.at(S + step * S // 20))
-    assert found[50] is not None is not found[250] and found[50].odometry_epoch == found[250].odometry_epoch
-    assert found[150] is None is own.at(S + 150 * S // 20), "also afterwards"
+    assert found[50] is not None and found[250] is not None and found[50].odometry_epoch == found[250].odometry_epoch
+    assert found[150] is None and own.at(S + 150 * S // 20) is None, "also afterwards"
 
 
 def test_the_heading_is_the_less_certain_the_fewer_rates_come() -> None:

@@ -307,7 +307,7 @@ def test_a_bound_by_a_position_needs_one_stretch_more_than_what_bound_it(mapped:
 
 @pytest.mark.parametrize("ahead_m", [30.0, 150.0])
 def test_a_vehicle_that_is_carried_while_it_rolls_is_noticed_and_known_again(ahead_m: float, mapped: MakeRoad) -> None:
-    """From one frame to the next, by looks: no wheel has counted it. Before, no place there was ever believed again."""
+    """From one frame to the next, by poses: no wheel has counted it. Before, no place there was ever accepted again."""
     one = Vehicle(mapped(part(0, 1000, has_odometer=True)), exact())
     one.nose_deg = 180.0  # it looks back, as the map's camera did
 
@@ -451,9 +451,9 @@ def test_a_street_beside_that_looks_the_same_is_contradicted_by_own_motion_since
     one = Vehicle(long_road)
     one.go(200, None if seen_before else nothing, gps=True)
     assert not seen_before or None in one.go(150)
-    one.aside_m = 1.0
+    one.sideways_m = 1.0
     one.go(50, None if seen_before else nothing)
-    one.aside_m = 0.0
+    one.sideways_m = 0.0
     assert None not in one.go(500)
     one.go(30, gps=True)
     assert None in one.go(10)

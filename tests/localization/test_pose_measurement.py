@@ -1,4 +1,4 @@
-"""Positions by the pose of one look, where the truth is known."""
+"""Positions by the pose of one picture, where the truth is known."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def seen(place: int, west_m: float = 0.0, ahead_m: float = 0.0, turn_deg: float 
     )
 
 
-def looks(road: Road, west_m: float = 0.0, direction: Direction = "reverse", **changes: Any) -> Sees:
+def poses(road: Road, west_m: float = 0.0, direction: Direction = "reverse", **changes: Any) -> Sees:
     """Frames that show a vehicle so far beside the drive of the map's rear camera, and a line that ends 4 m off."""
 
     def sees(at_m: float) -> PlaceMatch | None:
@@ -74,7 +74,7 @@ def looks(road: Road, west_m: float = 0.0, direction: Direction = "reverse", **c
 
 def homeward(road: Road, config: Config = MEASURED, sees: Sees | None = None, meters: float = 40.0) -> Vehicle:
     """A vehicle that goes home, to the south."""
-    return warm(road, config, 300.0, "reverse", sees or looks(road, 1.5), meters)
+    return warm(road, config, 300.0, "reverse", sees or poses(road, 1.5), meters)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_poses_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(ro
     one = Vehicle(road, MEASURED, 200.0, direction)
     one.nose_deg = 180.0 * (direction == "forward")
     one.go(LINE_M, nothing)
-    one.go(40, looks(road, 1.5, direction))
+    one.go(40, poses(road, 1.5, direction))
     assert one.place is not None
     assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.05)
     assert (one.place.points, one.place.by_lane) == (40, False)
@@ -159,13 +159,13 @@ def test_poses_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(ro
 
 
 def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> None:
-    """It is followed where the vehicle turns between two looks."""
-    one = homeward(road, sees=looks(road, turn_deg=4.0))
+    """It is followed where the vehicle turns between two poses."""
+    one = homeward(road, sees=poses(road, turn_deg=4.0))
     assert one.place is not None and one.place.heading_deg == pytest.approx(184.0, abs=0.2)
-    one.aside_m = -SPACING_M * math.tan(math.radians(5.0))
+    one.sideways_m = -SPACING_M * math.tan(math.radians(5.0))
     one.go(6, lambda at_m: road.match(at_m, "reverse"))
     assert one.place is not None and one.place.heading_deg == pytest.approx(189.0, abs=0.2)
-    one.aside_m = 0.0
+    one.sideways_m = 0.0
     one.go(80, lambda at_m: road.match(at_m, "reverse"))
     assert one.place is not None and (one.place.heading_deg, one.place.points) == (180.0, UNSET), "then of the road"
 
@@ -175,7 +175,7 @@ def test_a_pose_that_takes_a_turn_for_a_shift_moves_no_vehicle(road: Road) -> No
     one = homeward(road)
     sigmas = np.array([1.2, 0.4, math.radians(1.2)])
     alike = np.array([[1.0, 0.0, 0.95], [0.0, 1.0, 0.0], [0.95, 0.0, 1.0]])
-    one.go(10.0, looks(road, 1.5 + 5.0, turn_deg=5.0, covariance=alike * np.outer(sigmas, sigmas)))
+    one.go(10.0, poses(road, 1.5 + 5.0, turn_deg=5.0, covariance=alike * np.outer(sigmas, sigmas)))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.5)
 
 
@@ -195,7 +195,7 @@ def test_poses_alone_are_enough_where_no_line_is_known(road: Road) -> None:
 def test_poses_close_together_share_what_they_say(road: Road) -> None:
     """Ten of them 2 m apart count as about three, and any number of a vehicle that stands as about one."""
     loose = settings(RigConfig(look_sigma_m=0.01), scale_error_percent=0.01, heading_error_deg=0.01)
-    sigmas, wide = [], looks(road, covariance=np.diag([4.0, 4.0, 1e-4]))
+    sigmas, wide = [], poses(road, covariance=np.diag([4.0, 4.0, 1e-4]))
 
     def sees(at_m: float) -> PlaceMatch | None:
         found = wide(at_m)
@@ -215,39 +215,39 @@ def test_poses_close_together_share_what_they_say(road: Road) -> None:
 
 
 def test_a_single_pose_waits_for_one_that_agrees(road: Road) -> None:
-    one = homeward(road, sees=looks(road, -1.0), meters=2.0)
+    one = homeward(road, sees=poses(road, -1.0), meters=2.0)
     assert one.place is None or one.place.points is UNSET
-    one.go(4, looks(road, 1.5))
+    one.go(4, poses(road, 1.5))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.05)
 
 
 def test_a_second_solution_now_and_then_moves_nothing(road: Road) -> None:
     one = homeward(road)
     for _ in range(5):
-        one.go(2, looks(road, -1.0))
+        one.go(2, poses(road, -1.0))
         assert left_m(one.place) == pytest.approx(1.5, abs=0.05)
-        one.go(4, looks(road, 1.5))
+        one.go(4, poses(road, 1.5))
     assert one.place is not None and not one.place.disputed
 
 
 def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -> None:
-    one = homeward(road, sees=looks(road, -1.0), meters=4.0)
+    one = homeward(road, sees=poses(road, -1.0), meters=4.0)
     assert left_m(one.place) == pytest.approx(-1.0, abs=0.1)
-    one.go(6, looks(road, 1.5))
+    one.go(6, poses(road, 1.5))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.1)
     assert one.place is not None and one.place.disputed, "those that outvote may be outvoted again"
-    one.go(SPEED_MPS * HOLE_S, looks(road, 1.5))
+    one.go(SPEED_MPS * HOLE_S, poses(road, 1.5))
     assert one.place is not None and not one.place.disputed
 
 
 def test_no_number_of_poses_moves_an_estimate_to_another_place(road: Road) -> None:
-    """What follows is disputed, and what was known before is back with the first looks that agree with it."""
+    """What follows is disputed, and what was known before is back with the first poses that agree with it."""
     one = homeward(road, meters=80.0)
     for _ in range(10):
-        one.go(2, looks(road, 1.5, ahead_m=30.0))
+        one.go(2, poses(road, 1.5, ahead_m=30.0))
         assert one.place is not None
         assert one.place.disputed or abs(north_m(one.place) - one.north_m) < 6.0
-    one.go(8, looks(road, 1.5))
+    one.go(8, poses(road, 1.5))
     assert one.place is not None and not one.place.disputed
     assert north_m(one.place_at()) == pytest.approx(one.north_m, abs=0.1)
 
@@ -256,7 +256,7 @@ def test_no_number_of_poses_moves_an_estimate_to_another_place(road: Road) -> No
 def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
     mapped: Callable[..., Road], whole_sigma_m: float | None, is_followed: bool
 ) -> None:
-    """Looks have a vehicle 15 m from where GPS has had it; where the whole drive may be, it stays there."""
+    """Poses have a vehicle 15 m from where GPS has had it; where the whole drive may be, it stays there."""
     one = Vehicle(mapped(Stretch(0, 400, sigma_m=1.0, whole_sigma_m=whole_sigma_m)), MEASURED, 300.0, "reverse")
     one.go(LINE_M, nothing, gps=True)
     one.go(
@@ -280,7 +280,7 @@ def pose_now(one: Vehicle) -> PlaceFix | None:
 def test_a_pose_is_handed_on_as_it_was_measured(road: Road) -> None:
     """The filter weighs what was before; nothing of that is in a pose, nor is the error of the map in its own sigma."""
     one = homeward(road, BELIEVED)
-    one.go(2, looks(road, 2.0, ahead_m=0.5, turn_deg=1.0, covariance=np.diag([0.04, 0.04, 1e-4])))
+    one.go(2, poses(road, 2.0, ahead_m=0.5, turn_deg=1.0, covariance=np.diag([0.04, 0.04, 1e-4])))
     pose, answer = pose_now(one), one.ask(at="pose")
     assert (north_m(pose), left_m(pose)) == pytest.approx((one.north_m - 0.5, 2.0), abs=0.02)
     assert 1.5 < left_m(one.place) < 1.9
@@ -308,9 +308,9 @@ def test_after_a_hole_two_poses_must_agree(road: Road, blind_s: float) -> None:
     """An autopilot without a pose for 10 s takes the next one for its position."""
     one = homeward(road)
     one.go(SPEED_MPS * blind_s - SPACING_M, lambda at_m: road.match(at_m, "reverse"))
-    one.go(SPACING_M, looks(road, 1.5))
+    one.go(SPACING_M, poses(road, 1.5))
     assert (pose_now(one) is not None) is (blind_s < HOLE_S)
-    one.go(SPACING_M, looks(road, 1.5))
+    one.go(SPACING_M, poses(road, 1.5))
     assert left_m(pose_now(one)) == pytest.approx(1.5, abs=0.05)
     assert one.drive.pose_ns == one.t_ns
 
@@ -320,27 +320,27 @@ def test_poses_that_outvote_where_the_vehicle_was_are_not_handed_on_for_a_while(
     one = homeward(road)
     posed_ns = one.t_ns
     for _ in range(8):
-        one.go(SPACING_M, looks(road, 1.5, ahead_m=-7.0))
+        one.go(SPACING_M, poses(road, 1.5, ahead_m=-7.0))
         handed = pose_now(one)
         assert handed is None or handed.stamp_ns == posed_ns
     assert one.place is not None and north_m(one.place) - one.north_m > 4.0, "they have outvoted it"
-    one.go(SPEED_MPS * HOLE_S, looks(road, 1.5, ahead_m=-7.0))
+    one.go(SPEED_MPS * HOLE_S, poses(road, 1.5, ahead_m=-7.0))
     assert one.drive.pose_ns == one.t_ns
 
 
 def test_poses_that_were_outvoted_again_speak_against_no_later_ones(road: Road) -> None:
     """A few were 7 m off in a bend: 40 m later they took the right ones for theirs, and no pose was sent for 130 m."""
     one = Vehicle(road, MEASURED, 440.0, "reverse")
-    one.go(60, looks(road, 1.5), gps=True)
-    one.go(20, looks(road, 1.5))
+    one.go(60, poses(road, 1.5), gps=True)
+    one.go(20, poses(road, 1.5))
     fused = one.ask(at="pose")
     assert isinstance(fused, Fix)
     one.use(fused)
-    one.go(8, looks(road, 1.5, ahead_m=-7.0))
+    one.go(8, poses(road, 1.5, ahead_m=-7.0))
     assert north_m(one.place) - one.north_m > 4.0, "they have outvoted it"
-    one.go(SPEED_MPS * (HOLE_S + 1.0), looks(road, 1.5))
+    one.go(SPEED_MPS * (HOLE_S + 1.0), poses(road, 1.5))
     for _ in range(60):
-        one.go(SPACING_M, looks(road, 1.5))
+        one.go(SPACING_M, poses(road, 1.5))
         assert isinstance(one.ask(at="pose"), Fix)
 
 
@@ -348,14 +348,14 @@ def test_poses_that_were_outvoted_again_speak_against_no_later_ones(road: Road) 
 def test_a_pose_that_fails_the_innovation_test_is_not_handed_on(road: Road, shift_m: float, turn_deg: float) -> None:
     one = homeward(road)
     before = pose_now(one)
-    one.go(SPACING_M, looks(road, shift_m, turn_deg=turn_deg))
+    one.go(SPACING_M, poses(road, shift_m, turn_deg=turn_deg))
     assert before is not None and pose_now(one) == before
-    one.go(SPACING_M, looks(road, 1.5))
+    one.go(SPACING_M, poses(road, 1.5))
     assert one.drive.pose_ns == one.t_ns and left_m(pose_now(one)) == pytest.approx(1.5, abs=0.05)
 
 
 def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_as_that(road: Road) -> None:
-    """It is off in one way from the first meter to the last, however many frames lie between; a look ends that."""
+    """It is off in one way from the first meter to the last, however many frames lie between; a pose ends that."""
     one = homeward(road)
     before = one.place_at()
     assert before is not None
@@ -368,7 +368,7 @@ def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_a
         assert place.sigma_along_m == pytest.approx(expected_m, rel=0.1)
         assert place.sigma_cross_track_m < before.sigma_cross_track_m + 0.3
     ahead = one.place_at(S // 2, 4.0, unknown_m=one.motion.unknown_m + 3.0)
-    one.go(SPACING_M, looks(road, 1.5))
+    one.go(SPACING_M, poses(road, 1.5))
     after = one.place_at()
     assert ahead is not None and after is not None
     assert ahead.sigma_along_m == pytest.approx(math.hypot(before.sigma_along_m, 7.2 / math.sqrt(3)), rel=0.1)
@@ -380,7 +380,7 @@ def test_a_line_moves_nothing_that_poses_have_measured(road: Road) -> None:
     soon, later = one.place_at(S // 2, 4.0), one.place_at(2 * S, 16.0)
     assert soon is not None and later is not None and (soon.points, later.points) == (40, UNSET)
     one.go(30, lambda at_m: road.match(at_m + 4.0, "reverse"))
-    assert one.place is not None and one.place.points is UNSET, "the newest frame was no look"
+    assert one.place is not None and one.place.points is UNSET, "the newest frame had no pose"
     assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.1)
 
 
@@ -393,23 +393,23 @@ def _heading_error(one: Vehicle) -> tuple[float, float]:
 @pytest.mark.parametrize("askew_deg", [0.0, 3.0])
 def test_poses_find_the_heading_error_of_the_velocity_and_not_that_of_the_camera(road: Road, askew_deg: float) -> None:
     """A camera that is mounted askew is so with GPS already; after it, the autopilot's heading goes wrong."""
-    one, sees = Vehicle(road, MEASURED, 390.0, "reverse"), looks(road, turn_deg=askew_deg)
+    one, sees = Vehicle(road, MEASURED, 390.0, "reverse"), poses(road, turn_deg=askew_deg)
     one.go(LINE_M, nothing, gps=True)
     one.go(100.0, sees, gps=True)
     assert _heading_error(one)[0] == pytest.approx(0.0, abs=0.3)
-    one.compass_rad, one.aside_m = math.radians(3.0), -SPACING_M * math.tan(math.radians(3.0))  # right of the south
+    one.compass_rad, one.sideways_m = math.radians(3.0), -SPACING_M * math.tan(math.radians(3.0))  # right of the south
     one.go(60.0, sees)
     found_deg, sigma_deg = _heading_error(one)
     assert found_deg == pytest.approx(-3.0, abs=0.8) and sigma_deg < 1.0
     one.go(80.0, lambda at_m: road.match(at_m, "reverse"))
-    assert one.drive.state.heading_error is None, "looks are far behind"
+    assert one.drive.state.heading_error is None, "poses are far behind"
 
 
 @pytest.mark.parametrize(("askew_deg", "points"), [(12.0, 40), (16.0, None)])
 def test_poses_of_a_camera_that_is_mounted_far_askew_do_not_count(
     road: Road, askew_deg: float, points: int | None
 ) -> None:
-    place = homeward(road, sees=looks(road, turn_deg=askew_deg)).place
+    place = homeward(road, sees=poses(road, turn_deg=askew_deg)).place
     assert (place.points if place else None) == points
 
 
@@ -417,6 +417,6 @@ def test_a_vehicle_that_flies_to_the_side_has_no_heading_error_by_that(road: Roa
     one = Vehicle(road, MEASURED, 390.0, "reverse")
     one.nose_deg = 40.0
     one.go(LINE_M, nothing, gps=True)
-    one.go(60.0, looks(road, turn_deg=40.0), gps=True)
+    one.go(60.0, poses(road, turn_deg=40.0), gps=True)
     assert _heading_error(one)[0] == pytest.approx(0.0, abs=0.1)
     assert one.place is not None and one.place.points == 40

@@ -166,7 +166,7 @@ def test_maps_that_grow_change_nothing_and_others_begin_anew(road: Road) -> None
     one.go(250, gps=True)
     place = one.place
     one.drive.update(one.t_ns, MapUpdate(road.maps, has_grown=True))
-    assert one.place == place is not None
+    assert place is not None and one.place == place
     one.drive.update(one.t_ns, MapUpdate(road.maps))
     assert one.place is None and one.drive.state.gps.state == "consistent"
 
@@ -187,7 +187,7 @@ def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(road: 
 def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_followed_it(
     acts: Any, road: Road
 ) -> None:
-    """It is dragged 40 m off; the places have the vehicle where it is, and bound the autopilot where GPS is ignored."""
+    """It is spoofed 40 m off; the places have the vehicle where it is, and bound the autopilot where GPS is ignored."""
     one = Vehicle(road, settings(gates=GatesConfig(doubted_gps=acts)))
     one.go(140, gps=True)
     while one.drive.state.gps.state != "faulty":
@@ -281,7 +281,7 @@ def test_a_place_that_gps_helped_to_believe_is_no_evidence_and_does_not_vouch_fo
 
 
 def test_gps_is_judged_by_what_the_votes_alone_say_of_another_place(road: Road) -> None:
-    """GPS that is dragged ahead makes the places there more probable; the pictures show where the vehicle is."""
+    """GPS that is spoofed ahead makes the places there more probable; the pictures show where the vehicle is."""
     one = Vehicle(road)
     one.go(140, gps=True)
 

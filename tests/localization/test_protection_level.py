@@ -24,13 +24,13 @@ FIX = PlaceFix(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("has_looks", "most"), [(False, 6), (True, 11)])  # 10.3 by looks, whose errors are small
-def test_errors_stay_within_their_protection_levels_on_right_maps(has_looks: bool, most: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("has_poses", "most"), [(False, 6), (True, 11)])  # 10.3 by poses, whose errors are small
+def test_errors_stay_within_their_protection_levels_on_right_maps(has_poses: bool, most: float, tmp_path: Path) -> None:
     """And levels are no larger than so many times the 95 % error."""
     found = []
     for seed in range(4):
         rng = np.random.default_rng([seed, 7])
-        course = Course(road_m=1700.0, stretches=(Stretch(0.0, 1700.0),), steers=seed % 2 > 0, looks=has_looks)
+        course = Course(road_m=1700.0, stretches=(Stretch(0.0, 1700.0),), steers=seed % 2 > 0, poses=has_poses)
         drawn = Bench(replace(course, speed_mps=float(rng.uniform(3, 12))), seed, tmp_path, is_stream=seed > 1).run()
         assert not any(one.is_exceeded for one in drawn.bounded)
         found += drawn.bounded
@@ -44,14 +44,14 @@ def test_errors_stay_within_their_protection_levels_on_right_maps(has_looks: boo
 def test_a_stretch_that_is_shifted_by_what_nothing_notices_is_within_the_level(
     seed: int, is_stream: bool, tmp_path: Path
 ) -> None:
-    """500 m of one drive of the map, 9 to 20 m off, and looks."""
+    """500 m of one drive of the map, 9 to 20 m off, and poses."""
     rng = np.random.default_rng([seed, 6])
     far_m, angle = math.exp(rng.uniform(math.log(5), math.log(40))), rng.uniform(0, 2 * math.pi)
     off_m = far_m * math.sin(angle), far_m * math.cos(angle)
     shifted = Stretch(800.0, 1300.0, *off_m, continues=True)
     stretches = Stretch(0.0, 800.0), shifted, Stretch(1300.0, 1700.0, continues=True)
     steers, speed_mps = bool(rng.random() < 0.5), float(rng.uniform(3, 12))
-    drawn = Course(road_m=1700.0, stretches=stretches, steers=steers, looks=True, speed_mps=speed_mps)
+    drawn = Course(road_m=1700.0, stretches=stretches, steers=steers, poses=True, speed_mps=speed_mps)
     bounded = Bench(drawn, seed, tmp_path, is_stream=is_stream).run().bounded
     assert any(math.isfinite(one.level_along_m) for one in bounded)
     assert not any(one.is_exceeded for one in bounded)

@@ -236,21 +236,21 @@ def offs_m(course: Course, folder: Path) -> NDArray[np.float64]:
 @pytest.fixture(scope="module")
 def alone_m(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64]:
     """Errors by looks at the only drive of a road."""
-    return offs_m(Course(looks=True), tmp_path_factory.mktemp("alone"))
+    return offs_m(Course(poses=True), tmp_path_factory.mktemp("alone"))
 
 
 @pytest.mark.parametrize(
-    ("others", "looks_at"),
+    ("others", "pose_segments"),
     [((False,), (1,)), ((True,), (1,)), ((True,), (0, 1)), ((False, True, True), (0, 1, 2, 3))],
     ids=["of the other drive", "of one the other way", "of both", "of four"],
 )
 def test_poses_on_any_drive_of_a_road_are_as_good_as_on_the_only_one(
-    others: tuple[bool, ...], looks_at: tuple[int, ...], alone_m: NDArray[np.float64], tmp_path: Path
+    others: tuple[bool, ...], pose_segments: tuple[int, ...], alone_m: NDArray[np.float64], tmp_path: Path
 ) -> None:
     """Lines are of the first drive. Before, the estimate began anew at each change: 4.6 m off (95 %), and not 1.2."""
     one = Stretch(0.0, 1200.0)
     stretches = one, *(replace(one, backward=backward) for backward in others)
-    together_m = offs_m(Course(looks=True, stretches=stretches, looks_at=looks_at), tmp_path)
+    together_m = offs_m(Course(poses=True, stretches=stretches, pose_segments=pose_segments), tmp_path)
     assert np.percentile(together_m, 95) < np.percentile(alone_m, 95) + 0.5
 
 
@@ -263,7 +263,7 @@ def test_poses_that_are_4_m_late_are_within_what_positions_say(
     late_s: float, late_rows: int, most: float, tmp_path: Path
 ) -> None:
     """By frames that are 0.4 s old and do not say so, or keypoints of another row: about 1.4 m is what is said."""
-    sigmas = Bench(Course(looks=True, late_s=late_s, late_rows=late_rows), 0, tmp_path).run().sigmas
+    sigmas = Bench(Course(poses=True, late_s=late_s, late_rows=late_rows), 0, tmp_path).run().sigmas
     assert len(sigmas) > 100
     assert np.sqrt(np.mean(np.square(sigmas))) > 1.5
     assert max(sigmas) < most
@@ -279,7 +279,7 @@ def test_on_a_map_whose_gps_crept_poses_are_as_good_as_they_say(
 ) -> None:
     """By less than counts as wrong. As certain as on other maps, they were up to 18.6 sigma off."""
     crept = Stretch(0.0, 1200.0, has_odometer=True, crept=(from_m, to_m, 0.6 * by_m, 0.8 * by_m))
-    result = Bench(Course(looks=True, stretches=(crept,)), 0, tmp_path).run()
+    result = Bench(Course(poses=True, stretches=(crept,)), 0, tmp_path).run()
     assert len(result.sigmas) > 100
     assert max(result.sigmas) < 3.0
     assert not any(one.is_exceeded for one in result.bounded)

@@ -88,7 +88,7 @@ def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(road: Road) -> N
 
 
 @pytest.mark.parametrize(("direction", "turned_deg"), [("forward", 0.0), ("reverse", 180.0)])
-def test_its_heading_is_that_of_the_road_where_it_is_not_where_it_looks(
+def test_its_heading_is_that_of_the_road_where_it_is_not_where_the_camera_points(
     road: Road, direction: Direction, turned_deg: float
 ) -> None:
     """On a road that turns by a tenth of a degree with each place; the camera sees 13 places ahead."""
@@ -135,15 +135,15 @@ def test_a_line_too_steep_counts_by_its_middle(road: Road) -> None:
 
 
 @pytest.mark.parametrize(
-    ("direction", "aside_m", "is_used"),
+    ("direction", "sideways_m", "is_used"),
     [("forward", 0.0, True), ("forward", 2.0, True), ("forward", 4.0, False), ("reverse", 0.0, False)],
 )
 def test_a_line_that_leads_another_way_than_the_vehicle_went_is_not_used(
-    road: Road, direction: Direction, aside_m: float, is_used: bool
+    road: Road, direction: Direction, sideways_m: float, is_used: bool
 ) -> None:
     """aside_m: to the east, for each 2 m that it goes north."""
     one = Vehicle(road, north_m=120.0)
-    one.aside_m = aside_m
+    one.sideways_m = sideways_m
     one.go(LINE_M, nothing)
     one.go(8, shown(road, direction=direction))
     assert (one.place is not None) == is_used
@@ -245,9 +245,9 @@ def test_far_beside_the_road_no_match_corrects_a_position(road: Road) -> None:
     """By its own reckoning the vehicle goes 26 m to the side."""
     config = settings(RigConfig(sigma_cross_track_m=4.0), lost_after_m=1000.0, lost_after_s=60.0)
     one = warm(road, config)
-    one.aside_m = 1.3
+    one.sideways_m = 1.3
     one.go(40, nothing)
-    one.aside_m = 0.0
+    one.sideways_m = 0.0
     one.go(LINE_M, nothing)
     one.go(8)
     later = one.place_at()

@@ -14,7 +14,7 @@ from edge.feed.writer import FeedWriter
 from edge.keypoints import CameraModel
 
 CAMERA = CameraModel(320, 240, 80.0)
-ASIDE_DEG = 4.0
+TURNED_DEG = 4.0
 PLACES, SPACING_M = 24, 2.0
 
 
@@ -47,13 +47,13 @@ def mapped(tmp_path_factory: pytest.TempPathFactory) -> lookback.Map:
         for place in range(PLACES):
             at_m = place * SPACING_M
             row = FeedRow("", place * 10**8, -27 + at_m / 110_800, 153.0, heading_deg=0.0, distance_m=at_m)
-            writer.write(picture(at_m, turn_deg=ASIDE_DEG), row)
+            writer.write(picture(at_m, turn_deg=TURNED_DEG), row)
     return lookback.Map.build(folder / "drive", folder / "map", spacing_m=SPACING_M)
 
 
 def test_the_picture_of_a_place_is_not_turned_from_it(mapped: lookback.Map) -> None:
     for place in range(6, 18, 3):
-        found = mapped.pose(picture(place * SPACING_M, turn_deg=ASIDE_DEG), place)
+        found = mapped.pose(picture(place * SPACING_M, turn_deg=TURNED_DEG), place)
         assert found is not None
         assert abs(math.degrees(found.turn_rad)) < 0.3
         assert abs(found.turn_rad) < 4 * math.sqrt(found.covariance[2, 2]) + math.radians(0.1)
@@ -61,9 +61,9 @@ def test_the_picture_of_a_place_is_not_turned_from_it(mapped: lookback.Map) -> N
 
 def test_a_pose_is_of_the_frame_of_the_places_camera(mapped: lookback.Map) -> None:
     """3 m further along the road, by a camera that looks along it."""
-    aside = math.radians(ASIDE_DEG)
+    turned = math.radians(TURNED_DEG)
     for place in (6, 9, 12):
         found = mapped.pose(picture(place * SPACING_M + 3.0), place)
         assert found is not None
-        assert (found.right_m, found.ahead_m) == pytest.approx((-3 * math.sin(aside), 3 * math.cos(aside)), abs=0.15)
-        assert math.degrees(found.turn_rad) == pytest.approx(-ASIDE_DEG, abs=0.4)
+        assert (found.right_m, found.ahead_m) == pytest.approx((-3 * math.sin(turned), 3 * math.cos(turned)), abs=0.15)
+        assert math.degrees(found.turn_rad) == pytest.approx(-TURNED_DEG, abs=0.4)

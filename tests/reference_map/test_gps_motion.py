@@ -1,4 +1,4 @@
-"""Positions against the odometer and the heading: honest GPS agrees, one that is dragged does not, and stays wrong."""
+"""Positions against odometer and heading: honest GPS is consistent, one that is spoofed is not, and stays wrong."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ Drive = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 def drive(
     seed: int,
-    drag_mps: float = 0.0,
+    drift_mps: float = 0.0,
     side: str = "left",
     speed_mps: float = 5.0,
     *,
     scale: float = 1.03,
     bend: float = 1.0,
 ) -> Drive:
-    """Positions (N, 2), odometer (N,) and heading (N,) of a winding drive, on which GPS is dragged by up to 200 m.
+    """Positions (N, 2), odometer (N,) and heading (N,) of a winding drive, on which GPS drifts by up to 200 m.
 
     The compass is 3 degrees off, and 2 more or less as the vehicle turns.
     """
@@ -45,7 +45,7 @@ def drive(
     wander_m = np.zeros((PLACES, 2))
     for row in range(1, PLACES):
         wander_m[row] = 0.97 * wander_m[row - 1] + SIGMA_M * np.sqrt(1 - 0.97**2) * rng.normal(size=2)
-    off_m = np.clip((np.arange(PLACES) - FROM) * STEP_M / speed_mps * drag_mps, 0.0, 200.0)
+    off_m = np.clip((np.arange(PLACES) - FROM) * STEP_M / speed_mps * drift_mps, 0.0, 200.0)
     toward = heading + {"left": -np.pi / 2, "right": np.pi / 2, "ahead": 0.0}[side]
     away_m = np.diff(off_m, prepend=0.0)[:, None] * np.column_stack([np.sin(toward), np.cos(toward)])
     heading_deg = np.degrees(heading) + 3.0 + 2.0 * np.sin(heading)
@@ -72,8 +72,8 @@ def test_a_drive_moved_as_its_vehicle_if_all_of_it_did() -> None:
     for seed in range(20):
         assert moved_as_driven(places(*drive(seed, bend=seed % 3)))
         for side in ("left", "right", "ahead"):
-            for drag_mps in (1.0, 5.0, 100.0):
-                assert not moved_as_driven(places(*drive(seed, drag_mps, side, bend=seed % 3)))
+            for drift_mps in (1.0, 5.0, 100.0):
+                assert not moved_as_driven(places(*drive(seed, drift_mps, side, bend=seed % 3)))
 
 
 @pytest.mark.parametrize("name", ["lat_deg", "lon_deg", "heading_deg", "route_m"])
@@ -109,10 +109,10 @@ def test_a_burst_of_multipath_at_the_beginning_rejects_little_of_what_follows() 
 
 
 @pytest.mark.parametrize("side", ["left", "right", "ahead"])
-@pytest.mark.parametrize("drag_mps", [1.0, 2.0, 5.0, 10.0, 20.0])
-def test_a_drag_is_found_and_what_follows_stays_rejected(drag_mps: float, side: str) -> None:
+@pytest.mark.parametrize("drift_mps", [1.0, 2.0, 5.0, 10.0, 20.0])
+def test_a_drag_is_found_and_what_follows_stays_rejected(drift_mps: float, side: str) -> None:
     for seed in range(100, 110):
-        rows = rejected(*drive(seed, drag_mps, side))
+        rows = rejected(*drive(seed, drift_mps, side))
         assert FROM < rows[0] < FROM + 60, "within 120 m"
         last = rows[0] + 200
         assert len([row for row in rows if row < last]) > 0.95 * (last - rows[0]), "an offset that stays is no excuse"
@@ -126,11 +126,11 @@ def crept_m(points_m: NDArray[np.float64], driven_m: NDArray[np.float64], headin
 @pytest.mark.parametrize("side", ["left", "ahead"])
 def test_what_creeps_by_less_than_counts_as_wrong_is_measured(side: str) -> None:
     """By 4 % of the way. Honest GPS wanders by its own standard deviation, on a straight road."""
-    honest_m, dragged_m = (
-        np.median([crept_m(*drive(seed, drag_mps, side, bend=0.0)) for seed in range(10)]) for drag_mps in (0.0, 0.2)
+    honest_m, spoofed_m = (
+        np.median([crept_m(*drive(seed, drift_mps, side, bend=0.0)) for seed in range(10)]) for drift_mps in (0.0, 0.2)
     )
     assert honest_m < 1.0
-    assert dragged_m > 5.0
+    assert spoofed_m > 5.0
     points_m, *driven = drive(1, bend=0.0)  # what is elsewhere is wrong, not uncertain: a hypothesis finds it
     assert crept_m(points_m + np.where(np.arange(PLACES) < 300, 0.0, 300.0)[:, None], *driven) < 1.0
 
@@ -158,8 +158,8 @@ def test_a_jump_aside_in_a_gentle_gap_is_found() -> None:
     for seed in range(10):
         points_m, driven_m, heading_deg = (values[kept] for values in drive(seed, bend=0.5))
         heading_rad = np.radians(heading_deg[200])
-        aside_m = 20.0 * np.array([np.cos(heading_rad), -np.sin(heading_rad)])
-        jumped_m = points_m + np.where(np.arange(len(kept)) < 200, 0.0, 1.0)[:, None] * aside_m
+        sideways_m = 20.0 * np.array([np.cos(heading_rad), -np.sin(heading_rad)])
+        jumped_m = points_m + np.where(np.arange(len(kept)) < 200, 0.0, 1.0)[:, None] * sideways_m
         assert not rejected(points_m, driven_m, heading_deg)
         assert rejected(jumped_m, driven_m, heading_deg)[0] == 200
 
@@ -181,7 +181,7 @@ def test_a_gap_in_the_places_is_no_jump() -> None:
     ],
 )
 def test_recorded_drives(shared: Path, name: str, least: int, most: int) -> None:
-    """Real autopilots with GPS, honest or dragged by 1 m/s; a place every 2 m while it has a fix."""
+    """Real autopilots with GPS, honest or spoofed by 1 m/s; a place every 2 m while it has a fix."""
     folder = shared / "flights_b06f79e" / name
     if not folder.is_dir():
         pytest.skip(f"needs the recorded drive {folder}")

@@ -32,7 +32,7 @@ WORLD_M = street(np.random.default_rng(4), 800)
 WORLD_M[:, 2] = np.random.default_rng(3).uniform(0, 460, len(WORLD_M))  # along the 400 m of the drive
 
 
-def look(ahead_m: float) -> tuple[Keypoints, np.ndarray]:
+def keypoints_at(ahead_m: float) -> tuple[Keypoints, np.ndarray]:
     """What a camera sees so far along the street, and the distances of that."""
     directions, away_m = seen(WORLD_M, (0, ahead_m, 0, 0)), WORLD_M[:, 2] - ahead_m
     xy = directions * CAMERA.focal_px + CAMERA.middle
@@ -55,7 +55,7 @@ def build(
         for row in range(places):
             along_m = 2.0 * row if view == "front" else 2.0 * (places - row)
             builder.add(raw[row], Place(row, heading_deg=30.0, route_m=2.0 * row))
-            builder.keypoints.add(look(along_m)[0])
+            builder.keypoints.add(keypoints_at(along_m)[0])
         builder.finish()
     return open_map(path, every_file=True)
 
@@ -67,7 +67,7 @@ def test_a_map_has_the_keypoints_of_its_pictures_and_how_far_away_they_are(
     made = build(tmp_path / "map", places=30, view=view)
     assert isinstance(made.keypoints, np.memmap)
     row = 12
-    expected, away_m = look(24.0 if view == "front" else 36.0)
+    expected, away_m = keypoints_at(24.0 if view == "front" else 36.0)
     found, points = keypoints_of(made.keypoints[row], KEY), points_of(made.keypoints[row])
     assert np.array_equal(found.descriptors, expected.descriptors)
     assert found.xy == pytest.approx(expected.xy, abs=0.5 / 32)
@@ -76,8 +76,8 @@ def test_a_map_has_the_keypoints_of_its_pictures_and_how_far_away_they_are(
 
 
 def test_a_place_takes_at_most_30_kilobytes_and_a_picture_of_less_leaves_the_rest_empty() -> None:
-    assert record_of(look(0)[0], KEY).nbytes * 300 / KEY.most < 30_000
-    whole = look(0)[0]
+    assert record_of(keypoints_at(0)[0], KEY).nbytes * 300 / KEY.most < 30_000
+    whole = keypoints_at(0)[0]
     few = replace(whole, xy=whole.xy[:5], scores=whole.scores[:5], descriptors=whole.descriptors[:5])
     assert len(keypoints_of(record_of(few, KEY), KEY)) == 5
 
@@ -117,7 +117,7 @@ def test_keypoints_that_are_cut_off_while_in_use_are_read_no_more(tmp_path: Path
 def test_a_camera_with_another_field_of_view_can_look_at_a_map(tmp_path: Path) -> None:
     made, wide = build(tmp_path / "map", places=30), CameraModel(400, 260, 100.0)
     assert made.keypoints is not None
-    shown, _ = look(24.0)
+    shown, _ = keypoints_at(24.0)
     xy = (CAMERA.directions(shown.xy) * wide.focal_px + wide.middle).astype(np.float32)
     query = replace(shown, xy=xy, size=(wide.height, wide.width))
     pose = pose_by(query, keypoints_of(made.keypoints[12], KEY), points_of(made.keypoints[12]), wide)
@@ -155,6 +155,6 @@ def test_pictures_of_two_shapes_are_no_map_with_keypoints(tmp_path: Path) -> Non
         MapBuilder(tmp_path / "map", MODEL, REGIONS, SamplingConfig(), keypoints=lambda *_: KEY) as builder,
     ):
         assert builder.keypoints is not None
-        builder.keypoints.add(look(0)[0])
-        builder.keypoints.add(replace(look(0)[0], size=(180, 320)))
+        builder.keypoints.add(keypoints_at(0)[0])
+        builder.keypoints.add(replace(keypoints_at(0)[0], size=(180, 320)))
     assert not (tmp_path / "map").exists()

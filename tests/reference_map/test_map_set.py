@@ -27,7 +27,7 @@ from edge.sequence.submap import SLICE_SHARE, GlobalSearch
 from edge_plugins.mapping.builder import Place
 from sim.maps.tiles import split_map
 from tests.map_of import map_of
-from tests.sequence.test_place_search import Seeker, look_at
+from tests.sequence.test_place_search import Seeker, views_of
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
 DEGREES_A_METRE = 1 / 110_800
@@ -36,7 +36,7 @@ CONFIG = Config(
     sequence=SequenceConfig(length=LENGTH),
     acceptance=AcceptanceConfig(uniqueness_min=2.0, window_m=40.0, window_places=20),
 )
-Look = Callable[[int], np.ndarray]
+View = Callable[[int], np.ndarray]
 
 
 def build(
@@ -72,8 +72,8 @@ def city(known: bool, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def look(city: Path) -> Look:
-    return look_at(open_map(city / "whole.map"))
+def view(city: Path) -> View:
+    return views_of(open_map(city / "whole.map"))
 
 
 def is_unique(match: PlaceMatch) -> bool:
@@ -81,8 +81,8 @@ def is_unique(match: PlaceMatch) -> bool:
     return match.uniqueness >= CONFIG.acceptance.uniqueness_min
 
 
-def drive_on(maps: MapSet, look: Look, config: Config = CONFIG) -> Seeker:
-    return Seeker(maps, look, config)
+def drive_on(maps: MapSet, view: View, config: Config = CONFIG) -> Seeker:
+    return Seeker(maps, view, config)
 
 
 def close_to(place: int, radius_m: float = 60.0, east_m: float = 0.0) -> SearchRegion:
@@ -125,7 +125,7 @@ def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
     limit=st.sampled_from([300, LIMIT, PLACES_OF_ALL]),
 )
 def test_tiles_give_the_same_matches_as_their_map(
-    city: Path, look: Look, start: int, frames: int, backwards: bool, tells: str, radius_m: float, limit: int
+    city: Path, view: View, start: int, frames: int, backwards: bool, tells: str, radius_m: float, limit: int
 ) -> None:
     """To the bit."""
     config = Config(map=MapConfig(places_per_frame=limit), sequence=CONFIG.sequence, acceptance=CONFIG.acceptance)
@@ -138,8 +138,8 @@ def test_tiles_give_the_same_matches_as_their_map(
         return None if tells == "nothing" else close_to(place, radius_m, off_m)
 
     maps = open_map_set(city / "tiles")
-    whole = drive_on(MapSet.of(open_map(city / "whole.map")), look, config)
-    tiles = drive_on(maps, look, config)
+    whole = drive_on(MapSet.of(open_map(city / "whole.map")), view, config)
+    tiles = drive_on(maps, view, config)
     for place in places:
         found, expected = tiles.see(place, near(place)), whole.see(place, near(place))
         if found is not None:
@@ -159,9 +159,9 @@ def test_a_position_along_a_drive_crosses_borders(city: Path, place: int, offset
     assert (drive.segment, drive.spacing_m) == (of_whole.segment, of_whole.spacing_m)
 
 
-def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, look: Look) -> None:
+def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, view: View) -> None:
     """With a position, and without once the place is found."""
-    drive = drive_on(open_map_set(city / "tiles"), look)
+    drive = drive_on(open_map_set(city / "tiles"), view)
     passed = range(200, 2300)
     matches = drive.go(passed, close_to if known else lambda place: None)
     first = next(at for at, match in enumerate(matches) if match and is_unique(match))
@@ -212,9 +212,9 @@ def resident_bytes(folder: Path) -> int:
     return found
 
 
-def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, look: Look) -> None:
+def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, view: View) -> None:
     maps = open_map_set(city / "tiles")
-    ring = np.stack([look(place) for place in range(LENGTH)])
+    ring = np.stack([view(place) for place in range(LENGTH)])
     maps.costs(ring, [(0, PLACES_OF_ALL)])
     everything = resident_bytes(city / "tiles")
     assert everything > 10 * 300 * 2 * 48
@@ -226,10 +226,10 @@ def test_a_pass_through_all_maps_keeps_no_descriptors_in_memory(city: Path, look
 
 
 @pytest.mark.parametrize("end", [203, 220])
-def test_a_pass_is_as_unique_at_the_edge_of_a_slice_as_one_search_of_all(city: Path, look: Look, end: int) -> None:
+def test_a_pass_is_as_unique_at_the_edge_of_a_slice_as_one_search_of_all(city: Path, view: View, end: int) -> None:
     """The slice beside it finds the same place, or the last of its own that is like it: that is not elsewhere."""
     maps, found = open_map_set(city / "tiles"), []
-    ring = np.stack([look(place) for place in range(end + 1 - LENGTH, end + 1)])
+    ring = np.stack([view(place) for place in range(end + 1 - LENGTH, end + 1)])
     for most in (LIMIT, SLICE_SHARE * PLACES_OF_ALL):
         scan = GlobalSearch(msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=most)))
         steps = (scan.step(maps, ring, LENGTH, Lanes(NO_LAGS, "front", range(LENGTH))) for _ in range(PLACES_OF_ALL))
@@ -250,7 +250,7 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
         ("there", 0),
         ("unknown", 1499),
     ]
-    there = look_at(open_map(tmp_path / "maps" / "there"))
+    there = views_of(open_map(tmp_path / "maps" / "there"))
     drive = drive_on(maps, lambda place: there(place - 1500))
 
     def near(place: int) -> SearchRegion:
@@ -267,7 +267,7 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     steps_m = np.hypot(*np.diff(meters, axis=0).T)
     np.testing.assert_allclose(steps_m, SPACING_M, rtol=0.01)
     # On a map without positions only a scan finds the vehicle, and then it is followed there, whatever is told.
-    unknown = look_at(open_map(tmp_path / "maps" / "unknown"))
+    unknown = views_of(open_map(tmp_path / "maps" / "unknown"))
     lost = drive_on(open_map_set(tmp_path / "maps"), lambda place: unknown(place - 3000))
     answers = lost.go(range(3200, 3400), lambda place: close_to(0))
     believed = [

@@ -296,8 +296,8 @@ def test_a_place_is_that_of_votes_with_weight() -> None:
     def positions_m(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.column_stack([along_m, np.zeros(len(drives))])
 
-    aside_m, nothing = 0.6 * SETTINGS.slack_m, replace(STRONG, drive=1, uniqueness=1.0)
-    votes = [*_right(100.0 + aside_m, 30), *_right(160.0 - aside_m, 30), *_right(220.0, 30, nothing)]
+    sideways_m, nothing = 0.6 * SETTINGS.slack_m, replace(STRONG, drive=1, uniqueness=1.0)
+    votes = [*_right(100.0 + sideways_m, 30), *_right(160.0 - sideways_m, 30), *_right(220.0, 30, nothing)]
     belief = _last(_drive(PlaceConsensus(SETTINGS, positions_m), votes))
     assert belief.drive == 0
-    assert belief.along_m == pytest.approx(280.0, abs=2 * aside_m)
+    assert belief.along_m == pytest.approx(280.0, abs=2 * sideways_m)

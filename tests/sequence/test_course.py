@@ -38,12 +38,12 @@ def test_a_road_is_against_the_course_that_it_nowhere_leads_along() -> None:
     assert not roads(CORNER).against(WEST)["reverse"][120:].any()
 
 
-@pytest.mark.parametrize("aside_deg", [0, 55, -55, 65, 180])
-def test_a_course_may_differ_by_sixty_degrees(aside_deg: float) -> None:
+@pytest.mark.parametrize("off_deg", [0, 55, -55, 65, 180])
+def test_a_course_may_differ_by_sixty_degrees(off_deg: float) -> None:
     straight = np.column_stack([np.zeros(200), ROUTE_M])
-    against = roads(straight).against(math.radians(aside_deg))
-    assert against["forward"].all() == (abs(aside_deg) > 60)
-    assert against["reverse"].all() == (abs(aside_deg) < 120)
+    against = roads(straight).against(math.radians(off_deg))
+    assert against["forward"].all() == (abs(off_deg) > 60)
+    assert against["reverse"].all() == (abs(off_deg) < 120)
 
 
 def test_where_positions_are_unknown_nothing_is_against_a_course() -> None:

@@ -48,11 +48,11 @@ def build(path: Path, raw: np.ndarray, *, has_positions: bool) -> ReferenceMap:
 
 
 @pytest.fixture(scope="module")
-def look(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
-    return look_at(long_map)
+def view(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
+    return views_of(long_map)
 
 
-def look_at(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
+def views_of(long_map: ReferenceMap) -> Callable[[int], np.ndarray]:
     """What a normalized query shows at a place: the place on another day."""
     rng = np.random.default_rng(5)
     half_sum, half_difference = long_map.descriptors.astype(np.float32)
@@ -72,7 +72,7 @@ class Seeker:
     def __init__(
         self,
         maps: MapSet,
-        look: Callable[[int], np.ndarray],
+        view: Callable[[int], np.ndarray],
         config: Config = CONFIG,
         believed_after: int = 1,
     ) -> None:
@@ -80,11 +80,11 @@ class Seeker:
         self.search = PlaceSearch(maps, config)
         self._uniqueness_min = config.acceptance.uniqueness_min
         self._believed_after, self._unique = believed_after, 0
-        self._look = look
+        self._view = view
         self._ring: list[np.ndarray] = []
 
     def see(self, place: int, near: SearchRegion | None = None) -> PlaceMatch | None:
-        self._ring = [*self._ring, self._look(place)][-LENGTH:]
+        self._ring = [*self._ring, self._view(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
         match = self.search.push(change, lambda: np.stack(self._ring), MotionPrior(search_region=near))
         self._unique = self._unique + 1 if match and match.uniqueness >= self._uniqueness_min else 0
@@ -102,10 +102,10 @@ def close_to(place: int, off_m: float = 0.0, radius_m: float = 60.0) -> SearchRe
 
 
 def test_around_a_position_the_answers_are_those_of_the_whole_map(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray]
 ) -> None:
-    part = Seeker(MapSet.of(long_map), look)
-    whole = Seeker(MapSet.of(long_map), look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
+    part = Seeker(MapSet.of(long_map), view)
+    whole = Seeker(MapSet.of(long_map), view, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
     drive = range(1400, 2000)  # longer than a part reaches, so that it moves several times
     parts_used: dict[int, object] = {}
     for place in drive:
@@ -124,21 +124,21 @@ def test_around_a_position_the_answers_are_those_of_the_whole_map(
 
 @pytest.mark.parametrize("off_m", [-199.0, 199.0])
 def test_a_place_is_searched_wherever_a_position_may_be_wrong(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray], off_m: float
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray], off_m: float
 ) -> None:
     drive = range(1400, 2000)
-    matches = Seeker(MapSet.of(long_map), look).go(drive, lambda place: close_to(place, off_m, 200.0))
+    matches = Seeker(MapSet.of(long_map), view).go(drive, lambda place: close_to(place, off_m, 200.0))
     found = zip(matches[LENGTH:], drive[LENGTH:], strict=True)
     assert all(match is not None and abs(match.place - place) <= 1 for match, place in found)
 
 
 @pytest.mark.parametrize("has_positions", [True, False])
 def test_without_a_position_the_map_is_gone_through_and_then_followed(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray], has_positions: bool, tmp_path: Path
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray], has_positions: bool, tmp_path: Path
 ) -> None:
     """Also on a map that has none either."""
     maps = long_map if has_positions else build(tmp_path / "long.map", raw_descriptors(), has_positions=False)
-    drive = Seeker(MapSet.of(maps), look)
+    drive = Seeker(MapSet.of(maps), view)
     start = 4100
     slices = math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     first = drive.go(range(start, start + LENGTH - 1 + slices))
@@ -164,17 +164,17 @@ def test_of_two_stretches_that_look_alike_neither_is_found_wherever_the_slices_a
     raw = raw_descriptors()
     raw[4000:4300] = raw[1000:1300]
     twice = build(tmp_path / "twice.map", raw, has_positions=False)
-    drive = Seeker(MapSet.of(twice), look_at(twice))
+    drive = Seeker(MapSet.of(twice), views_of(twice))
     assert set(drive.go(range(1050, 1050 + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))))) == {None}
     assert drive.search.part is None
 
 
 @pytest.mark.parametrize("radius_m", [60.0, 5000.0])
 def test_a_wrong_position_is_found_out(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray], radius_m: float
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray], radius_m: float
 ) -> None:
     """What a scan has found goes on to be searched, beside the position or, if that may be anywhere, in its place."""
-    drive = Seeker(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), view)
     frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     drive.go(range(500, 500 + frames), lambda place: close_to(place, 6000.0, radius_m))
     places = range(500 + frames, 900)
@@ -186,19 +186,19 @@ def test_a_wrong_position_is_found_out(
 
 
 def test_what_was_found_is_followed_before_it_can_be_believed(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray]
 ) -> None:
     """The map has been gone through in ten frames, and what a second time would find is as old as that."""
     config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES * SLICE_SHARE // 10))
     drive = range(1000, 1050)
-    matches = Seeker(MapSet.of(long_map), look, config, believed_after=15).go(drive)
+    matches = Seeker(MapSet.of(long_map), view, config, believed_after=15).go(drive)
     found = [(place, match) for place, match in zip(drive, matches, strict=True) if match is not None]
     assert len(found) == len(drive) - (LENGTH - 1) - 9
     assert all(abs(match.place - place) <= 1 for place, match in found[1:])
 
 
-def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
-    drive = Seeker(MapSet.of(long_map), look)
+def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, view: Callable[[int], np.ndarray]) -> None:
+    drive = Seeker(MapSet.of(long_map), view)
     drive.go(range(2500, 2700))
     # A jump, as if the vehicle were carried: after a while the whole map is gone through again.
     after = drive.go(range(5000, 5100))
@@ -210,21 +210,21 @@ def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look:
 
 @pytest.mark.parametrize("broken", [0.0, math.nan, math.inf])
 def test_a_frame_that_says_nothing_is_as_good_as_none(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray], broken: float
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray], broken: float
 ) -> None:
-    def look_or_fail(place: int) -> np.ndarray:
-        return np.full((2, 48), broken, dtype=np.float32) if place in (1020, 1021) else look(place)
+    def view_or_fail(place: int) -> np.ndarray:
+        return np.full((2, 48), broken, dtype=np.float32) if place in (1020, 1021) else view(place)
 
     whole = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES))
-    matches = Seeker(MapSet.of(long_map), look_or_fail, whole).go(range(1000, 1060))
+    matches = Seeker(MapSet.of(long_map), view_or_fail, whole).go(range(1000, 1060))
     assert all(
         match is not None and is_unique(match) and abs(match.place - place) <= 1
         for match, place in zip(matches[LENGTH:], range(1000 + LENGTH, 1060), strict=True)
     )
 
 
-def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
-    drive = Seeker(MapSet.of(long_map), look)
+def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, view: Callable[[int], np.ndarray]) -> None:
+    drive = Seeker(MapSet.of(long_map), view)
     drive.go(range(2500, 2600))
     assert drive.search.part is not None
     drive.search.clear()
@@ -232,10 +232,10 @@ def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[in
 
 
 def test_after_a_gap_a_place_that_is_believed_by_keyframes_is_searched_around(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray]
 ) -> None:
     """Also where the last one was near it."""
-    drive = Seeker(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), view)
     drive.go(range(2500, 2600))
     drive.search.clear()
     drive.search.follow(2600)
@@ -244,9 +244,9 @@ def test_after_a_gap_a_place_that_is_believed_by_keyframes_is_searched_around(
 
 
 def test_after_a_gap_the_position_is_searched_around_again(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+    long_map: ReferenceMap, view: Callable[[int], np.ndarray]
 ) -> None:
-    drive = Seeker(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), view)
     drive.go(range(2500, 2530), close_to)
     drive.search.clear()
     drive._ring.clear()

@@ -44,17 +44,19 @@ def test_a_place_elsewhere_than_reckoned_is_less_probable() -> None:
     assert odds((0.0, 500.0), 100.0, 700.0) > 0.3, "2 standard deviations"
 
 
-@pytest.mark.parametrize("aside_m", [20.0, 50.0, OFF_ROAD_M])
-def test_beside_the_road_by_gps_no_place_of_it_is_more_probable(aside_m: float) -> None:
+@pytest.mark.parametrize("sideways_m", [20.0, 50.0, OFF_ROAD_M])
+def test_beside_the_road_by_gps_no_place_of_it_is_more_probable(sideways_m: float) -> None:
     """A parallel road that is not mapped."""
-    assert odds((aside_m, 500.0), 3.0, 500.0) < 1.0
+    assert odds((sideways_m, 500.0), 3.0, 500.0) < 1.0
 
 
-@pytest.mark.parametrize("aside_m", [0.0, 20.0, 50.0])
-def test_that_a_place_is_where_the_vehicle_is_reckoned_does_not_speak_for_it_but_that_a_road_is(aside_m: float) -> None:
+@pytest.mark.parametrize("sideways_m", [0.0, 20.0, 50.0])
+def test_a_road_there_speaks_for_a_place_and_that_the_vehicle_is_reckoned_there_does_not(
+    sideways_m: float,
+) -> None:
     """A road beside the map's that looks like it is reckoned there as well."""
-    spot_m = aside_m, 500.0
-    assert prior(spot_m, 37.0).near(np.array([aside_m]))[0] > 4.0
+    spot_m = sideways_m, 500.0
+    assert prior(spot_m, 37.0).near(np.array([sideways_m]))[0] > 4.0
     assert odds(spot_m, 37.0, 500.0) == pytest.approx(prior(spot_m, 37.0).road)
     assert odds(spot_m, 37.0, 500.0) < 2.5
 

@@ -279,20 +279,20 @@ def test_gps_that_the_filter_does_not_use_bounds_nothing_and_is_no_permission(ri
         assert rig.journalled(FixWithheld)[-1].reason == "GPS is unknown: unused by the autopilot"
 
 
-@pytest.mark.parametrize("drag_mps", [0.5, 2.0, 5.0])
-def test_gps_that_is_dragged_off_bounds_no_longer_once_the_filter_does_not_follow(rig: Rig, drag_mps: float) -> None:
+@pytest.mark.parametrize("drift_mps", [0.5, 2.0, 5.0])
+def test_gps_that_is_spoofed_off_bounds_no_longer_once_the_filter_does_not_follow(rig: Rig, drift_mps: float) -> None:
     sky = Sky(rig)
     sky.run(6.0)
     bound_m = rig.uncertainty_m
     off_m = []
 
     def drag() -> None:
-        sky.off_m += drag_mps * GPS_EACH_NS / 1e9
+        sky.off_m += drift_mps * GPS_EACH_NS / 1e9
         if rig.uncertainty_m <= bound_m + 0.01:
             off_m.append(sky.off_m)
 
     sky.run(60.0, drag)
-    assert max(off_m) < 10.0 + 0.3 * 8.0 + drag_mps
+    assert max(off_m) < 10.0 + 0.3 * 8.0 + drift_mps
     assert rig.uncertainty_m > bound_m + 1.0
     assert sky.offer(3.0, drag) == 0, "the receiver is still good"
 

@@ -28,7 +28,7 @@ def odometry(
 
 
 class Circle:
-    """A vehicle in a circle; its autopilot turns its heading away from it, as EKF3 behind a GPS that is dragged."""
+    """A vehicle in a circle; its autopilot turns its heading away from it, as EKF3 behind a GPS that is spoofed."""
 
     def __init__(self, autopilot: int, odometry_from: tuple[int, ...] = ()) -> None:
         self.vehicle, self.speaker = Vehicle(odometry_from=odometry_from), Speaker()
@@ -74,7 +74,7 @@ def test_wheels_go_by_the_gyros_of_ardupilot_whatever_its_filter_makes_of_them()
 
 @pytest.mark.parametrize(("autopilot", "is_known"), [(ARDUPILOT, False), (PX4, True)])
 def test_without_raw_rates_only_px4_has_a_witness(autopilot: int, is_known: bool) -> None:
-    """Its bias was seen not to follow a GPS that is dragged; that of EKF3 was seen to."""
+    """Its bias was seen not to follow a GPS that is spoofed; that of EKF3 was seen to."""
     one = Circle(autopilot)
     one.drive(raw=False)
     assert (one.own is not None) == is_known

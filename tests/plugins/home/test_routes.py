@@ -110,7 +110,7 @@ def test_a_road_that_leads_back_beside_the_one_that_it_came_on_is_not_turned_ont
     assert not plan(path, "1:end", "2:end").refusals, "from there on, it may turn as it likes"
 
 
-def test_gps_that_was_dragged_on_a_part_refuses_the_routes_over_it(map_along: MapAlong) -> None:
+def test_gps_that_was_spoofed_on_a_part_refuses_the_routes_over_it(map_along: MapAlong) -> None:
     drive = straight(300.0)
     drive[75:] += (0.0, 15.0)
     path = map_along(drive, driven_m=[np.arange(151) * 2.0])

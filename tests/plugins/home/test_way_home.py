@@ -182,7 +182,7 @@ def test_a_jump_of_the_gps_is_refused(map_along: MapAlong) -> None:
 
 
 @pytest.mark.parametrize("side", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)])
-def test_a_drive_on_which_gps_was_dragged_is_refused(map_along: MapAlong, side: tuple[float, float]) -> None:
+def test_a_drive_on_which_gps_was_spoofed_is_refused(map_along: MapAlong, side: tuple[float, float]) -> None:
     """By 1 m/s at 5 m/s to 100 m, from 200 m on: no two places are far from each other."""
     drive = joined(straight(400.0), arc(60.0, 90), straight(400.0, -90.0))
     driven_m = np.arange(len(drive)) * SPACING_M
@@ -190,8 +190,8 @@ def test_a_drive_on_which_gps_was_dragged_is_refused(map_along: MapAlong, side: 
     heading_deg = np.degrees(np.arctan2(*np.gradient(drive, axis=0).T))
     honest = map_along(drive, driven_m=[driven_m], heading_deg=lambda row: heading_deg[row])
     assert not plan(honest).refusals
-    dragged = map_along(drive + off_m, driven_m=[driven_m], heading_deg=lambda row: heading_deg[row], name="dragged")
-    assert any("the GPS position moved" in text for text in plan(dragged).refusals)
+    spoofed = map_along(drive + off_m, driven_m=[driven_m], heading_deg=lambda row: heading_deg[row], name="spoofed")
+    assert any("the GPS position moved" in text for text in plan(spoofed).refusals)
 
 
 def test_positions_that_were_measured_badly_are_refused(map_along: MapAlong) -> None:

@@ -27,13 +27,13 @@ from tests.tlog import messages_of
 PLACES, SPEED_MPS = 400, 8.0
 
 
-def vouched(folder: Path, seed: int, drag_mps: float, counted: list[int], gaps_from: int, headings: int) -> list[bool]:
+def vouched(folder: Path, seed: int, drift_mps: float, counted: list[int], gaps_from: int, headings: int) -> list[bool]:
     """Whether the map of a drive moved as driven: while it is made, and as the next start makes it.
 
-    GPS is dragged ahead, and the odometer is its velocity. counted: places at which wheels or a camera have counted;
+    GPS drifts ahead, and the odometer is its velocity. counted: places at which wheels or a camera have counted;
     from `gaps_from` on, anew. headings: places up to which there is one.
     """
-    points = gps_drive(seed, drag_mps, "ahead", SPEED_MPS)
+    points = gps_drive(seed, drift_mps, "ahead", SPEED_MPS)
     by_gps_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points[0], axis=0).T))]
     mapped = live(folder)
     for row in range(PLACES):
@@ -55,7 +55,7 @@ def vouched(folder: Path, seed: int, drag_mps: float, counted: list[int], gaps_f
 
 
 @pytest.mark.parametrize(
-    ("drag_mps", "counted", "gaps_from", "headings", "is_vouched"),
+    ("drift_mps", "counted", "gaps_from", "headings", "is_vouched"),
     [
         (0.0, range(0, PLACES, 4), PLACES, PLACES, True),
         (0.0, range(PLACES), PLACES, PLACES, True),
@@ -67,15 +67,15 @@ def vouched(folder: Path, seed: int, drag_mps: float, counted: list[int], gaps_f
         (0.0, range(0, PLACES, 4), 200, PLACES, False),
         (0.0, range(0, PLACES, 4), PLACES, 390, False),
     ],
-    ids=["wheels each second", "camera", "dragged 1 m/s", "dragged 2 m/s", "GPS alone", "counted late",
+    ids=["wheels each second", "camera", "spoofed 1 m/s", "spoofed 2 m/s", "GPS alone", "counted late",
          "silent at last", "counted anew", "no heading at last"],
 )  # fmt: skip
 def test_a_drive_is_vouched_for_where_what_gps_has_no_part_in_agrees_all_along(
-    tmp_path: Path, drag_mps: float, counted: range, gaps_from: int, headings: int, is_vouched: bool
+    tmp_path: Path, drift_mps: float, counted: range, gaps_from: int, headings: int, is_vouched: bool
 ) -> None:
     """Wheels are 3 % and the compass is 3 degrees off."""
     for seed in range(3):
-        found = vouched(tmp_path / f"{seed}", seed, drag_mps, list(counted), gaps_from, headings)
+        found = vouched(tmp_path / f"{seed}", seed, drift_mps, list(counted), gaps_from, headings)
         assert found == [is_vouched, is_vouched]
 
 
@@ -89,7 +89,7 @@ def test_a_drive_is_vouched_for_where_what_gps_has_no_part_in_agrees_all_along(
     ],
 )
 def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
-    """Real autopilots with wheels each second, GPS honest or dragged by 1 m/s; PX4 has none of them."""
+    """Real autopilots with wheels each second, GPS honest or spoofed by 1 m/s; PX4 has none of them."""
     file = shared / name / "telem2.tlog.gz"
     if not file.is_file():
         pytest.skip(f"needs the recorded drive {file.parent}")

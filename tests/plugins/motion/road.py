@@ -33,9 +33,9 @@ def picture(
     right, down = (u - WIDTH / 2) / focal_px, (v - HEIGHT / 2) / focal_px
     falls = down * math.cos(pitch_rad) + math.sin(pitch_rad)
     forward = (math.cos(pitch_rad) - down * math.sin(pitch_rad)) * high_m / np.maximum(falls, 1e-3)
-    aside = right * high_m / np.maximum(falls, 1e-3)
-    x_m = east_m + forward * math.sin(heading_rad) + aside * math.cos(heading_rad)
-    y_m = north_m + forward * math.cos(heading_rad) - aside * math.sin(heading_rad)
+    sideways = right * high_m / np.maximum(falls, 1e-3)
+    x_m = east_m + forward * math.sin(heading_rad) + sideways * math.cos(heading_rad)
+    y_m = north_m + forward * math.cos(heading_rad) - sideways * math.sin(heading_rad)
     columns, rows = (x_m + 10.0) / TEXEL_M, y_m / TEXEL_M
     road = cv2.remap(TEXTURE, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
     gray = np.where(falls > 0.02, road, 128) * light

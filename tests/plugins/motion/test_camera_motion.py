@@ -157,7 +157,7 @@ def test_a_picture_that_comes_soon_is_passed_over_and_a_late_one_begins_anew() -
     motion = known(CameraMotion(config()))
     first = drive(motion, 3)[-1]
     assert motion.follow(picture(21.7), 3 * STEP_NS + 30_000_000, None) is None
-    assert motion.speed == first is not None
+    assert motion.speed == first and first is not None
     assert motion.follow(picture(21.4), 20 * STEP_NS, None) is None
     assert motion.why == "no picture shortly before"
 

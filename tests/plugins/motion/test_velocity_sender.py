@@ -46,7 +46,7 @@ def see(
 ) -> None:
     """The camera measures ten times a second. followed_mps: what the positions are made with, if that differs.
 
-    found: error of the heading by looks.
+    found: error of the heading by poses.
     """
     sender = VelocitySender(rig.connection, lambda: found)
     for _ in range(round(10 * seconds)):
@@ -67,16 +67,16 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
 
 
-@pytest.mark.parametrize(("found_deg", "aside_m"), [(None, (8.0, 12.0)), (-5.0, (0.0, 3.0))])
+@pytest.mark.parametrize(("found_deg", "sideways_m"), [(None, (8.0, 12.0)), (-5.0, (0.0, 3.0))])
 def test_a_heading_that_poses_have_found_wrong_leads_px4_nowhere(
-    found_deg: float | None, aside_m: tuple[float, float], tmp_path: Path
+    found_deg: float | None, sideways_m: tuple[float, float], tmp_path: Path
 ) -> None:
     """Its heading is 5 degrees off to the right for 110 m: by that it goes 10 m aside."""
     errors = replace(RUNS_AWAY, heading_deg=5.0)
     rig = flying(tmp_path, "px4", errors=errors)
     see(rig, 20.0, found=None if found_deg is None else (math.radians(found_deg), 0.01))
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
-    assert aside_m[0] <= rig.autopilot.estimate.error_m <= aside_m[1]
+    assert sideways_m[0] <= rig.autopilot.estimate.error_m <= sideways_m[1]
 
 
 @pytest.mark.parametrize(("firmware", "moved_m"), [("px4", 18.0), ("ardupilot", 24.0)])

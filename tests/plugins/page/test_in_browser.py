@@ -225,7 +225,7 @@ def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_
     """The pilot, the journal and /metrics have the same word. The map was made with a camera that looks back."""
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     with browser(390, 844) as driver:
-        for gone_m, state, looks, goes_on, shade, is_late in (
+        for gone_m, state, view, goes_on, shade, is_late in (
             (50.0, "warming up", "front", "50 of about 80 m", "soft", False),
             (100.0, "off the map", "rear", "100 of about 80 m", "soft", False),
             (100.0, "off the map", "front", "100 of about 80 m", "soft", True),
@@ -234,7 +234,7 @@ def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_
             (0.0, "on the map", "front", "", "ink", False),
         ):
             with (
-                contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps, looks))) as page,
+                contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps, view))) as page,
                 contextlib.closing(Loop(page, searching(gone_m, state))),
             ):
                 driver.get(f"http://127.0.0.1:{page.port}/")

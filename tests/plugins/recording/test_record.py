@@ -199,4 +199,4 @@ def test_a_signal_closes_the_feed_whole(config_file: Path, tmp_path: Path, numbe
     rows = read_feed(out).rows
     assert f"{out}: {len(rows)} frames, 0 with a position; stopped by a signal" in errors
     assert "Traceback" not in errors
-    assert len(rows) == len(list((out / "frames").iterdir())) < 256
+    assert len(rows) == len(list((out / "frames").iterdir())) and len(rows) < 256

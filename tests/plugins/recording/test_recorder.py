@@ -111,4 +111,4 @@ def test_the_daemon_records_what_it_uses(make_street: Callable[..., Path], tmp_p
     assert done.returncode == 0, done.stderr
     (run,) = (tmp_path / "runs").iterdir()
     (stopped,) = records_of(tmp_path / "events.jsonl", Stopped)
-    assert len(read_feed(run).rows) == stopped.frames_used >= 10
+    assert len(read_feed(run).rows) == stopped.frames_used and stopped.frames_used >= 10

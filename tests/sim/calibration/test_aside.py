@@ -48,10 +48,10 @@ def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
 
 def test_poses_measure_how_far_cameras_are_from_their_antennas() -> None:
     rng = np.random.default_rng(4)
-    looks_m = [*rng.normal(6.0, 0.3, 200), *[float("nan")] * 50, *rng.normal(30.0, 1.0, 20)]
+    poses_m = [*rng.normal(6.0, 0.3, 200), *[float("nan")] * 50, *rng.normal(30.0, 1.0, 20)]
     home = [
-        OffsetSample("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, pose_m=look_m)
-        for at, look_m in enumerate(looks_m)
+        OffsetSample("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, pose_m=pose_m)
+        for at, pose_m in enumerate(poses_m)
     ]
     rig = rig_config(measure_offsets(home))
     assert (rig.look_ahead_reverse_m, rig.look_ahead_forward_m, rig.look_sigma_m) == (6.0, 0.0, 0.5)

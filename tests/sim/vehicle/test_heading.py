@@ -44,7 +44,7 @@ def test_a_simulated_heading_wanders_as_the_recorded_one() -> None:
     assert alike(errors) == pytest.approx((0.92, 0.76, 0.40), abs=0.1)
 
 
-def test_the_heading_follows_a_gps_that_is_dragged_as_that_of_ekf3_did() -> None:
+def test_the_heading_follows_a_gps_that_is_spoofed_as_that_of_ekf3_did() -> None:
     """1 m/s to the left at 3.6 m/s; recorded on ardupilot_spoofP972: -1.4, -6.3, -8.5, -8.4 degrees every 5 s."""
     estimate, changes_deg = Estimator(Pose(0.0, 0.0, 0.0, 3.6, 0.0), 0.0, OdometryErrors(), EKF3), []
     for step in range(1501):

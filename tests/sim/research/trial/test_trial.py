@@ -133,7 +133,7 @@ def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> Cou
 CALLED = ((30.0, 4, "Lookback: GPS faulty: 45 m off to the E"),)
 """After 240 m."""
 WARNED = ((30.0, 4, "Lookback: not recognized where GPS says we are"),)
-DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
+SPOOFED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
 """45 m wrong from 160 m on."""
 NOTHING = FixErrors(np.array([]), np.array([]), np.array([]))
 BELIEVED = np.array([(5.0, 90.0), (9.0, 3.0), (30.0, 2.0)])
@@ -189,15 +189,15 @@ def with_levels(along_m: float, cross_track_m: float) -> CourseRun:
         (course_rules.warns, run_of(), "no warning"),
         (course_rules.warns, run_of(texts=((20.0, 4, "positions are not used"),)), ""),
         (course_rules.called_before_50_m, run_of(), ""),
-        (course_rules.called_before_50_m, run_of(track=DRAGGED, texts=CALLED), ""),
+        (course_rules.called_before_50_m, run_of(track=SPOOFED, texts=CALLED), ""),
         (
             course_rules.called_before_50_m,
             run_of(track=replace(straight(), error_m=np.full(600, 60.0))),
             "60 m before a call",
         ),
         (course_rules.called_soon, run_of(), ""),
-        (course_rules.called_soon, run_of(track=DRAGGED, texts=CALLED), ""),
-        (course_rules.called_soon, run_of(track=DRAGGED), "not called for 3"),
+        (course_rules.called_soon, run_of(track=SPOOFED, texts=CALLED), ""),
+        (course_rules.called_soon, run_of(track=SPOOFED), "not called for 3"),
         (course_rules.never_called, run_of(), ""),
         (course_rules.never_called, run_of(texts=CALLED), "called at 30 s"),
         (course_rules.never_called, run_of(texts=WARNED), "warned at 30 s"),
@@ -209,9 +209,9 @@ def with_levels(along_m: float, cross_track_m: float) -> CourseRun:
             run_of(track=replace(straight(), error_m=np.full(600, 60.0)), texts=WARNED),
             "60 m",
         ),
-        (course_rules.back_to_usual, run_of(track=DRAGGED), ""),
+        (course_rules.back_to_usual, run_of(track=SPOOFED), ""),
         (course_rules.back_to_usual, run_of(texts=CALLED), ""),
-        (course_rules.back_to_usual, run_of(track=DRAGGED, texts=CALLED), "error 45 m after the call"),
+        (course_rules.back_to_usual, run_of(track=SPOOFED, texts=CALLED), "error 45 m after the call"),
         (course_rules.first_in_time, run_of(), ""),
         (course_rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
         (course_rules.never_wrong, run_of(known=BELIEVED), "1 places wrong, up to 90 m"),
@@ -366,7 +366,7 @@ def fused(one: Course) -> Course:
 def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
     name: str, library: RoadLibrary, tmp_path: Path
 ) -> None:
-    """The way home, in the other lane, and the way out again: the daemon's own looks, by rendered pictures."""
+    """The way home, in the other lane, and the way out again: the daemon's own poses, by rendered pictures."""
     run = drive(on_keypoints(fused(COURSES[name])), 1, SHORT_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
     assert np.percentile(run.track.error_m[~run.track.gps], 95) < 2.0, "as flown: 0.5 to 1.3 m"
