@@ -315,6 +315,16 @@ def test_after_a_hole_two_poses_must_agree(road: Road, blind_s: float) -> None:
     assert one.drive.pose_ns == one.t_ns
 
 
+@pytest.mark.parametrize("confidence", [0.49, 0.51])
+def test_faint_poses_that_agree_are_no_evidence_of_another_place(road: Road, confidence: float) -> None:
+    """Four in a row of a bend were 6 to 8 m behind."""
+    one = homeward(road)
+    one.go(8, poses(road, 1.5, ahead_m=-7.0, confidence=confidence))
+    assert north_m(one.place_at()) - one.north_m == pytest.approx(7.0 if confidence > 0.5 else 0.0, abs=1.0)
+    one.go(SPACING_M, poses(road, 1.5))
+    assert (one.drive.pose_ns == one.t_ns) is (confidence < 0.5)
+
+
 def test_poses_that_outvote_where_the_vehicle_was_are_not_handed_on_for_a_while(road: Road) -> None:
     """Five in a bend agreed 7 to 8 m behind it: an autopilot without a pose for 10 s would have gone there."""
     one = homeward(road)
@@ -323,7 +333,7 @@ def test_poses_that_outvote_where_the_vehicle_was_are_not_handed_on_for_a_while(
         one.go(SPACING_M, poses(road, 1.5, ahead_m=-7.0))
         handed = pose_now(one)
         assert handed is None or handed.stamp_ns == posed_ns
-    assert one.place is not None and north_m(one.place) - one.north_m > 4.0, "they have outvoted it"
+    assert north_m(one.place_at()) - one.north_m == pytest.approx(7.0, abs=1.0), "they have outvoted it"
     one.go(SPEED_MPS * HOLE_S, poses(road, 1.5, ahead_m=-7.0))
     assert one.drive.pose_ns == one.t_ns
 
@@ -337,7 +347,7 @@ def test_poses_that_were_outvoted_again_speak_against_no_later_ones(road: Road) 
     assert isinstance(fused, Fix)
     one.use(fused)
     one.go(8, poses(road, 1.5, ahead_m=-7.0))
-    assert north_m(one.place) - one.north_m > 4.0, "they have outvoted it"
+    assert north_m(one.place_at()) - one.north_m == pytest.approx(7.0, abs=1.0), "they have outvoted it"
     one.go(SPEED_MPS * (HOLE_S + 1.0), poses(road, 1.5))
     for _ in range(60):
         one.go(SPACING_M, poses(road, 1.5))
