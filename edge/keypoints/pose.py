@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.points import MapPoints
-from edge.keypoints.reprojection import KERNEL, WIDEST, Rays, costs_of, step_of, whitened
+from edge.keypoints.reprojection import KERNEL, WIDEST, Array, Rays, costs_of, step_of, whitened
 from edge.keypoints.view_geometry import CameraModel, Intrinsics
 
 STARTS = np.array([(right, ahead, 0.0) for right in (-3.5, 0.0, 3.5) for ahead in (-6.0, 0.0, 6.0)])
@@ -94,11 +94,12 @@ class RelativePose:
         off = np.array([self.right_m, 0.0, self.turn_rad]) * focal_sigma
         return replace(self, covariance=self.covariance * max(1.0, SHARP / sharpness) + np.outer(off, off))
 
-    def mixed(self, other: RelativePose, share: float) -> RelativePose:
-        """This one, or with this probability the other: mean and spread of both, with the points of this one."""
+    def mixed(self, other: RelativePose, share: float, doubt: float) -> RelativePose:
+        """This one, or the other: their mean by the share of that, the spread about it by how probable that is."""
         apart = (other.start - self.start)[0]
         right_m, ahead_m, turn = (self.start[0] + share * apart).tolist()
-        spread = (1 - share) * self.covariance + share * other.covariance + share * (1 - share) * np.outer(apart, apart)
+        off = (1 - doubt) * share**2 + doubt * (1 - share) ** 2
+        spread = (1 - doubt) * self.covariance + doubt * other.covariance + off * np.outer(apart, apart)
         return replace(self, right_m=right_m, ahead_m=ahead_m, turn_rad=turn, covariance=spread)
 
     @property
@@ -139,9 +140,10 @@ def solve_pnp(
 ) -> RelativePose | None:
     """The pose from which points (n,) of known distance are seen in directions (n, 2); None if too few of them agree.
 
-    starts: (S, 3) meters right and ahead, and turned; a single one where the vehicle is followed. known: of the focal
-    length and k1, which are solved for as well; None: they are as the camera says. frames: (n, 3) the camera of each
-    point's keyframe in the frame of the pose; None where that is this one.
+    starts: (S, 3) meters right and ahead, and turned; a single one where the vehicle is followed; or (S, 4), with what
+    is added to the logarithm of the focal length, all of which go on. known: of the focal length and k1, which are
+    solved for as well; None: they are as the camera says. frames: (n, 3) the camera of each point's keyframe in the
+    frame of the pose; None where that is this one.
     """
     if len(seen) < FEWEST_POINTS:
         return None
@@ -149,11 +151,12 @@ def solve_pnp(
     before = _before(known)
     cameras = np.tile(before[0], (len(starts), 1))
     unknowns = cameras.shape[1]
-    cameras[:, :3] = starts
+    cameras[:, :3] = starts[:, :3]
+    cameras[:, 5 : 2 + starts.shape[1]] += starts[:, 3:]
     pitch = float(np.median(np.arctan(seen[:, 1]) - np.arctan(points.places[:, 1])))
     cameras[:, 3] = pitch if abs(pitch) > LEVEL * PITCH_SIGMA else 0.0
     inverse = np.repeat(rays.inverse[np.newaxis], len(cameras), axis=0)
-    first = KERNELS[:FIRST_STEPS] if len(cameras) > GO_ON else ()
+    first = KERNELS[:FIRST_STEPS] if len(cameras) > GO_ON and starts.shape[1] == 3 else ()
     then = KERNELS if unknowns > 5 or not first else KERNELS[-LAST_STEPS:]
     for step, kernel in enumerate((*first, *then), 1):
         off, jacobian, inverse = whitened(cameras, inverse, rays)
@@ -172,13 +175,13 @@ def solve_pnp(
     _, found = step_of(cameras, off, jacobian, KERNEL, before, unknowns)
     worse = float(agrees.mean()) ** (2 * (CAUTION if frames is None or not frames.any() else CAUTION_TOGETHER))
     likely = np.exp((costs[best] - costs) * len(seen) * KERNEL**2 / (2 * worse))
-    away = (cameras - cameras[best])[:, :3]
-    each = worse * _covariances(found) + away[:, :, np.newaxis] * away[:, np.newaxis]
-    covariance = np.einsum("s,sij->ij", likely / likely.sum(), each)
+    likely, away = likely / likely.sum(), cameras - cameras[best]
+    spread = np.einsum("s,si,sj->ij", likely, away, away)
+    covariance = worse * np.einsum("s,sij->ij", likely, _covariances(found)) + spread[:3, :3]
     right_m, ahead_m, turn = cameras[best, :3].tolist()
     right = float((seen[agrees, 0] > 0).mean())
     even = 2 * min(right, 1 - right)
-    alone = None if known is None else replace(_alone(cameras[best, 5:], found[best], known, worse), even=even)
+    alone = known and replace(_alone(cameras[best, 5:], found[best], known, worse, spread[5:, 5:]), even=even)
     return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]), intrinsics=alone)
 
 
@@ -201,14 +204,17 @@ def _before(known: Intrinsics | None) -> tuple[NDArray[np.float64], NDArray[np.f
     return np.concatenate([values, known.values]), both
 
 
-def _alone(found: NDArray[np.float64], information: NDArray[np.float64], known: Intrinsics, worse: float) -> Intrinsics:
-    """What a picture says of its camera (2,) without what was known before; information: (7, 7) with that."""
+def _alone(found: Array, information: Array, known: Intrinsics, worse: float, spread: Array) -> Intrinsics:
+    """What a picture says of its camera (2,) without what was known before; information: (7, 7) with that.
+
+    spread: (2, 2) of other cameras that explain it nearly as well.
+    """
     of_pose, shared, of_camera = information[:5, :5], information[:5, 5:], information[5:, 5:]
     both = of_camera - shared.T @ np.linalg.solve(of_pose, shared)
     own = both - known.information
     own = (own + own.T) / 2 + np.eye(2) * 1e-6
     values = np.linalg.solve(own, both @ found - known.information @ known.values)
-    return Intrinsics(np.asarray(values), own / worse)
+    return Intrinsics(np.asarray(values), np.linalg.inv(np.linalg.inv(own / worse) + spread))
 
 
 class PointMatches(NamedTuple):

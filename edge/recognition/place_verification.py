@@ -136,7 +136,7 @@ class PlaceVerification:
             return None
         place, pose = found
         nearer = self._row_at(place, self.facing(place) * pose.ahead_m)
-        return self._seen(query, [nearer], self._from(nearer, place, pose))
+        return self._seen(query, [nearer], np.vstack([self._from(nearer, place, pose), WIDE]))
 
     def follow(self, image: NDArray[np.uint8], middles: Iterable[int]) -> KeyframeMatch | None:
         """The place that a picture shows, of the local maps around some places where the vehicle is reckoned to be.

@@ -1,10 +1,10 @@
 """How far beside the lane of its map a vehicle is seen by keypoints: in single pictures, and along a drive.
 
 A rear camera's map by day, without and with a front camera's of the way home in its own lane; home by a front camera,
-moved sideways from the lane of the first drive. A single picture, every 20 m, is compared with the local map
-around the place nearest to it; a right pose is one within RIGHT_M. Along a drive the recognizer has a picture every 2
-m, the odometer and the course, and nothing else; a frame is known if its pose is believed. Each drive is compared with
-the next road's map as well, as one of a vehicle elsewhere.
+moved sideways from the lane of the first drive, below zero away from the other lane, at last turned. A single picture,
+every 20 m, is compared with the local map around the place nearest to it; a right pose is one within RIGHT_M. Along a
+drive the recognizer has a picture every 2 m, the odometer and the course, and nothing else; a frame is known if its
+pose is believed. Each drive is compared with the next road's map as well, as one of a vehicle elsewhere.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import Config, DescriptorConfig
@@ -27,7 +28,9 @@ from sim.research.evaluation.poses import LENGTH_M, Truth, mapped
 from sim.world.recording import recorded
 from sim.world.scenario import LightName, Scenario
 
-BESIDE_M, LANE_M = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0), Scenario().lane_m
+LANE_M = Scenario().lane_m
+BESIDE = *((float(beside_m), 0.0) for beside_m in (-5, -3, 0, 3, 4, 5, 6, 8)), (5.0, 10.0), (5.0, -10.0)
+"""Meters beside the lane, and degrees by which the camera is turned to the right."""
 DRIVES = {"out": 1, "out, home": 2}
 """Of the map, by day: the way home is driven in its own lane, by a front camera."""
 LIGHTS: tuple[LightName, ...] = ("night", "dusk")
@@ -37,16 +40,20 @@ CONFIG = Config(descriptor=DescriptorConfig(model="grid"))
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """How far beside the lane of its map a vehicle is seen by keypoints."""
-    yield "| map | light | beside | right pose, alone | known along a drive | longest gap | position | rms over sigma |"
-    yield "|---" * 8 + "|"
+    yield (
+        "| map | light | beside | turned | right pose, alone | known along a drive | longest gap | position"
+        " | rms over sigma |"
+    )
+    yield "|---" * 9 + "|"
     roads = [Scenario(road, LENGTH_M) for road in args.seeds]
     out = [mapped(args.cache, road, "rear") for road in roads]
     back = [mapped(args.cache, road, "front", direction="reverse", drive_seed=14) for road in roads]
     elsewhere = np.zeros(3, int)
-    for (drives_of, count), light, beside_m in product(DRIVES.items(), LIGHTS, BESIDE_M):
+    for (drives_of, count), light, (beside_m, turned_deg) in product(DRIVES.items(), LIGHTS, BESIDE):
         maps = [MapSet.of(both[:count]) for both in zip(out, back, strict=True)]
-        home = {"direction": "reverse", "light": light, "drive_seed": 13, "lane_m": beside_m - LANE_M}
-        drives = [Scenario(road, LENGTH_M, **home) for road in args.seeds]  # type: ignore[arg-type]  # keys by name
+        way = {"direction": "reverse", "lane_m": beside_m - LANE_M, "camera_right_deg": turned_deg}
+        home = Scenario(length_m=LENGTH_M, light=light, drive_seed=13, **way)  # type: ignore[arg-type]  # keys by name
+        drives = [replace(home, seed=road) for road in args.seeds]
         feeds = [read_feed(recorded(one, args.cache, SPACING_M)) for one in drives]
         alone = np.concatenate([_pictures(*one) for one in zip(maps, feeds, strict=True)])
         along = [_along(*one) for one in zip(maps, feeds, strict=True)]
@@ -56,7 +63,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
         far_m, ratio = np.hypot(*off[:, 1:3].T), np.sqrt(np.square(off[:, 1:3] / off[:, 3:]).mean(axis=0))
         shares = f"{(alone <= RIGHT_M).mean():.2f} | {len(off) / len(known):.2f}"
         yield (
-            f"| {drives_of} | {light} | {beside_m:g} m | {shares} | {gap_m:.0f} m"
+            f"| {drives_of} | {light} | {beside_m:g} m | {turned_deg:g} deg | {shares} | {gap_m:.0f} m"
             f" | {np.median(far_m):.2f} / {np.percentile(far_m, 95):.2f} m | {ratio[0]:.2f}, {ratio[1]:.2f} |"
         )
         for of, feed in zip(maps, feeds[1:] + feeds[:1], strict=True) if len(maps) > 1 else ():
