@@ -20,7 +20,7 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, LookbackError
 from edge.extras import install_command
-from edge.feed import Feed, read_feed
+from edge.feed import Feed
 from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.toml_file import read_text
@@ -38,6 +38,7 @@ from sim.calibration.offset import (
 from sim.calibration.offset_samples import OffsetSample, samples_of
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive
 from sim.calibration.wheels import calibrate_wheels
+from sim.datasets.found import open_recording
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map
 from sim.output import refusing
@@ -108,7 +109,7 @@ def _run(args: argparse.Namespace) -> int:
     settings = args.config or args.write
     made = reference_map.header
     config = load_config_for_map(settings, made) if settings else config_as_mapped(made)
-    offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
+    offsets, seen = measure_rig(reference_map, [open_recording(path) for path in args.feeds], config)
     off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
     _print_offsets(offsets, seen)
     lines = dict(rig_lines(offsets))
@@ -132,7 +133,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     """Of `lookback calibrate camera FEED`."""
     settings = args.config or args.write
     camera = (load_config(settings) if settings else Config()).camera
-    feed = preprocessed_feed(read_feed(args.feeds[1]), camera)
+    feed = preprocessed_feed(open_recording(args.feeds[1]), camera)
     found = measure_camera(feed)
     spelled = f"{found.fov_deg:.1f} ± {found.fov_sigma_deg:.1f} degrees, k1 {found.k1:+.3f} ± {found.k1_sigma:.3f}"
     print(f"camera of {feed.path}: {spelled}")
