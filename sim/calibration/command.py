@@ -180,8 +180,8 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[OffsetSample]) -> N
         print(f"  none: no direction has {FEWEST} accepted matches on the map's route; drive further, or check the map")
     for offset in offsets:
         print(
-            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; remaining error:"
-            f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
+            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} ± {offset.ahead_sigma_m:.1f} m"
+            f" ahead; remaining error: {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
             f"  ({offset.used} matches, {offset.outliers} outliers excluded);"
             f" the vehicle {abs(offset.lateral_m):.1f} m"
             f" {'left' if offset.lateral_m >= 0 else 'right'} of the map's drive"
