@@ -179,12 +179,13 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[OffsetSample]) -> N
     if not offsets:
         print(f"  none: no direction has {FEWEST} accepted matches on the map's route; drive further, or check the map")
     for offset in offsets:
+        ahead = f"{offset.ahead_m:6.1f} ± {offset.ahead_sigma_m:.1f} m ahead"
+        side = "left" if offset.lateral_m >= 0 else "right"
         print(
-            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} ± {offset.ahead_sigma_m:.1f} m"
-            f" ahead; remaining error: {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
-            f"  ({offset.used} matches, {offset.outliers} outliers excluded);"
-            f" the vehicle {abs(offset.lateral_m):.1f} m"
-            f" {'left' if offset.lateral_m >= 0 else 'right'} of the map's drive"
+            f"  {offset.direction}, {offset.order:<7}  the place lies {ahead}; remaining error:"
+            f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m  ({offset.used} matches,"
+            f" {offset.outliers} outliers excluded);"
+            f" the vehicle {abs(offset.lateral_m):.1f} m {side} of the map's drive"
         )
         if not np.isnan(offset.pose_m):
             print(f"    by keypoint poses the camera is {offset.pose_m:.1f} ± {offset.pose_sigma_m:.1f} m ahead of it")

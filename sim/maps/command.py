@@ -175,6 +175,8 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         raise ConfigError(
             "--video is for one log; with several, name each video like its log (a.tlog, a.mp4) and omit --video"
         )
+    if args.output.exists() and not args.replace:
+        raise MapError(f"{args.output}: already exists; remove it, name another folder, or --replace")
     camera = camera_from(args, config.camera)
     feeds = [preprocessed_feed(open_recording(path, feed_options(args)), camera) for path in args.feeds]
     is_metric = args.spacing_m is not None
