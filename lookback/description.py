@@ -19,7 +19,7 @@ from edge.feed import FeedImages, read_picture
 from lookback import checks
 from sim.compare.foreign import ForeignNetwork, open_file
 from sim.compare.methods import normalized_online
-from sim.datasets.pictures import read_drive
+from sim.datasets.found import read_drive
 
 Pictures = str | Path | Iterable[str | Path] | Iterable[NDArray[np.uint8]] | NDArray[np.uint8]
 REGION_WIDTH = 0.4  # of each region, a share of the picture's width (section III-D)

@@ -26,7 +26,7 @@ from edge.sequence import MotionPrior, PlaceMatch
 from lookback import checks
 from lookback.description import network_of
 from lookback.verification import Picture, keypoints
-from sim.datasets.pictures import read_drive
+from sim.datasets.found import read_drive
 from sim.maps.adding_keypoints import key_of_feeds
 from sim.maps.command import build_map
 from sim.traverse import config_as_mapped, driven_m

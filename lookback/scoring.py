@@ -14,7 +14,7 @@ from sim.compare.matching import Matches
 from sim.compare.traverses import moved_ahead
 from sim.compare.truth import errors_between, points_of
 from sim.datasets import TruthKind
-from sim.datasets.pictures import read_drive
+from sim.datasets.found import read_drive
 from sim.evaluation.metrics import Answers, PrecisionRecall, average_precision, precision_recall
 
 Curve: TypeAlias = PrecisionRecall

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -213,8 +214,9 @@ class VideoPictures:
         return np.asarray(image, dtype=np.uint8)
 
     def close(self) -> None:
-        """Release the file; more than once is harmless."""
+        """Release the file, which the next picture opens again."""
         self._video.release()
+        self._next = sys.maxsize
 
 
 class FeedImages:

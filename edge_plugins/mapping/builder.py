@@ -116,7 +116,7 @@ class MapBuilder(DriveByDrive):
         keeps_pictures: small ones of places, for people.
         """
         if path.exists() and not replace:
-            raise MapError(f"{path}: already exists; remove it, name another folder, or `lookback map build --replace`")
+            raise MapError(f"{path}: already exists; remove it, or name another folder")
         if path.exists() and not (path / store.HEADER).is_file():
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
         self._path, self._shrink, self._keeps_pictures = path, shrink, keeps_pictures

@@ -20,7 +20,7 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, LookbackError
 from edge.extras import install_command
-from edge.feed import Feed, read_feed
+from edge.feed import Feed
 from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.toml_file import read_text
@@ -38,6 +38,7 @@ from sim.calibration.offset import (
 from sim.calibration.offset_samples import OffsetSample, samples_of
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive
 from sim.calibration.wheels import calibrate_wheels
+from sim.datasets.found import open_recording
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map
 from sim.output import refusing
@@ -108,7 +109,7 @@ def _run(args: argparse.Namespace) -> int:
     settings = args.config or args.write
     made = reference_map.header
     config = load_config_for_map(settings, made) if settings else config_as_mapped(made)
-    offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
+    offsets, seen = measure_rig(reference_map, [open_recording(path) for path in args.feeds], config)
     off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
     _print_offsets(offsets, seen)
     lines = dict(rig_lines(offsets))
@@ -132,7 +133,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     """Of `lookback calibrate camera FEED`."""
     settings = args.config or args.write
     camera = (load_config(settings) if settings else Config()).camera
-    feed = preprocessed_feed(read_feed(args.feeds[1]), camera)
+    feed = preprocessed_feed(open_recording(args.feeds[1]), camera)
     found = measure_camera(feed)
     spelled = f"{found.fov_deg:.1f} ± {found.fov_sigma_deg:.1f} degrees, k1 {found.k1:+.3f} ± {found.k1_sigma:.3f}"
     print(f"camera of {feed.path}: {spelled}")
@@ -178,12 +179,13 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[OffsetSample]) -> N
     if not offsets:
         print(f"  none: no direction has {FEWEST} accepted matches on the map's route; drive further, or check the map")
     for offset in offsets:
+        ahead = f"{offset.ahead_m:6.1f} ± {offset.ahead_sigma_m:.1f} m ahead"
+        side = "left" if offset.lateral_m >= 0 else "right"
         print(
-            f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; remaining error:"
-            f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
-            f"  ({offset.used} matches, {offset.outliers} outliers excluded);"
-            f" the vehicle {abs(offset.lateral_m):.1f} m"
-            f" {'left' if offset.lateral_m >= 0 else 'right'} of the map's drive"
+            f"  {offset.direction}, {offset.order:<7}  the place lies {ahead}; remaining error:"
+            f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m  ({offset.used} matches,"
+            f" {offset.outliers} outliers excluded);"
+            f" the vehicle {abs(offset.lateral_m):.1f} m {side} of the map's drive"
         )
         if not np.isnan(offset.pose_m):
             print(f"    by keypoint poses the camera is {offset.pose_m:.1f} ± {offset.pose_sigma_m:.1f} m ahead of it")

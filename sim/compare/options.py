@@ -12,7 +12,7 @@ from edge.config import NETWORKS
 from edge.errors import ConfigError
 from sim.compare.methods import METHODS, SEQUENCES
 from sim.compare.plan import NetworkPlan, Plan, checked_plan
-from sim.datasets.pictures import read_drive
+from sim.datasets.found import read_drive
 from sim.evaluation.metrics import TOLERANCE_M
 from sim.traverse import driven_m
 

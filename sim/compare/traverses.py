@@ -18,7 +18,8 @@ from sim.compare.plan import Pair, TraversePlan
 from sim.compare.seqslam import describe
 from sim.compare.truth import errors_between, matrix_errors, points_of
 from sim.datasets import TruthKind
-from sim.datasets.pictures import JoinedPictures, read_drive
+from sim.datasets.found import read_drive
+from sim.datasets.pictures import JoinedPictures
 from sim.traverse import driven_m, traverse
 
 

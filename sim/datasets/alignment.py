@@ -2,9 +2,9 @@
 
 Pictures turn as the vehicle turns, and flow past as fast as it drives, whichever way the camera looks; a track says
 both. Their correlation over all possible starts is a likelihood, and the creation time says how likely each start is
-before anything was measured. Phones with Android write the time at which a recording ended, most other cameras that at
-which it began, and some their local time as if it were UTC. docs/recordings.md has the errors of 20
-simulated videos.
+before anything was measured; without one, that the two are equally long. Phones with Android write the time at which a
+recording ended, most other cameras that at which it began, and some their local time as if it were UTC.
+docs/recordings.md has the errors of 20 simulated videos.
 """
 
 from __future__ import annotations
@@ -53,6 +53,8 @@ ahead of it the antenna is, is not known. One standard deviation, and what is tr
 same time, decides as far as it can."""
 CLOCK_S = 1.0
 """One standard deviation of a creation time: it has whole seconds, and a clock that is set by a network."""
+AS_LONG_S = 1.5
+"""By less than this, a track of one position a second and a video that were cut together differ: both begin at once."""
 DRIFT_S = 120.0
 """By so much clocks that nobody sets differ (of action cameras), in one of ten."""
 ZONE_S, ZONES = 900.0, 56
@@ -128,7 +130,9 @@ def align(name: str, rows: Sequence[FeedRow], pictures: Pictures, track: Track, 
     # Of the first frame, in seconds from the track's first position.
     tried_s = tried_s - seen.start_s
     made_s = None if made is None else made.unix_s - first_ns / 1e9
-    prior, near_clock = _prior(tried_s, made, made_s)
+    lasts_s = (rows[-1].stamp_ns - rows[0].stamp_ns) / 1e9
+    is_as_long = made is None and abs((track.fixes[-1].stamp_ns - first_ns) / 1e9 - lasts_s) < AS_LONG_S
+    prior, near_clock = _prior(tried_s, made, 0.0 if is_as_long else made_s)
     found = likelihood + prior
     if not np.isfinite(found).any():
         raise FeedError(f"{name}: {_no_common_time(track, made)}")
@@ -267,10 +271,12 @@ def _correlations(one: Floats, other: Floats) -> tuple[Floats, Floats]:
 
 def _prior(tried_s: Floats, made: CreationTime | None, made_s: float | None) -> tuple[Floats, NDArray[np.bool_]]:
     """How likely each start is by the creation time (log; -inf: impossible), and which of them it says itself."""
-    if made is None or made_s is None:
+    if made_s is None:
         return np.zeros(len(tried_s)), np.zeros(len(tried_s), dtype=bool)
-    is_start = 0.8 if made.is_start is None else float(made.is_start)
-    starts = (made_s, is_start), (made_s - made.duration_s, 1 - is_start)
+    starts: tuple[tuple[float, float], ...] = ((made_s, 1.0),)
+    if made is not None:
+        is_start = 0.8 if made.is_start is None else float(made.is_start)
+        starts = (made_s, is_start), (made_s - made.duration_s, 1 - is_start)
     density, near = np.zeros(len(tried_s)), np.zeros(len(tried_s), dtype=bool)
     for start_s, share in starts:
         off_s = tried_s - start_s
@@ -299,7 +305,8 @@ def _no_common_time(track: Track, made: CreationTime | None) -> str:
 def _how(made_s: float | None, offset_s: float, made: CreationTime | None, *, by_motion: bool, by_clock: bool) -> str:
     """By what a start is known."""
     if made is None or made_s is None:
-        return "by turns and speed alone, since it has no creation time"
+        why = "since it is as long as the track and" if by_clock else "by turns and speed alone, since it"
+        return f"{why} has no creation time"
     off_s = min((made_s - offset_s, made_s - made.duration_s - offset_s), key=abs)
     if by_clock:
         return f"by its creation time{' and by turns and speed' if by_motion else ' alone'}"

@@ -1,13 +1,15 @@
-"""Which kind of recording a path is, by what lies there."""
+"""Which kind of recording a path is, by what lies there, and whatever it is as a feed."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from edge.errors import FeedError
-from sim.datasets import KINDS, check_files
+from edge.feed import Feed, FeedHeader, FeedOptions, FeedRow, read_feed
+from sim.datasets import KINDS, ReadOptions, check_files, open_dataset
+from sim.datasets.importing import as_feed
 from sim.datasets.mcap_file import is_feed
-from sim.datasets.pictures import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from sim.datasets.pictures import PICTURE_SUFFIXES, VIDEO_SUFFIXES, PictureFiles, list_pictures
 from sim.datasets.video import holds_positions
 from sim.datasets.video_log import LOG_SUFFIXES, log_beside
 
@@ -22,6 +24,27 @@ LAYOUTS = (
     ("rlog.[bz]*", "comma2k19"),
 )
 """A file that only one layout has, and its kind."""
+
+
+def open_recording(path: Path, options: FeedOptions | None = None) -> Feed:
+    """A feed, or what `lookback import` would make one of, with all of its pictures, and nothing written. FeedError."""
+    options = options or FeedOptions()
+    kind = find_kind(path) if path.exists() else None
+    if kind is None:
+        return read_feed(path, options)
+    if options.video is not None:
+        raise FeedError(f"{path}: --video is for a log (.tlog, .bin, .ulg), and this is not one")
+    return as_feed(open_dataset(kind, path, ReadOptions(offset_s=options.offset_s, view=options.view)), path)
+
+
+def read_drive(path: Path) -> Feed:
+    """A recording; or a folder of pictures that is no feed, in the order of their names. FeedError."""
+    if not path.is_dir() or (path / "feed.toml").exists():
+        return open_recording(path)
+    files = [path / name for name in list_pictures(path)]
+    height, width = PictureFiles(files).read(0).shape[:2]
+    rows = tuple(FeedRow(file.name, number * 10**9) for number, file in enumerate(files))
+    return Feed(path, FeedHeader(path.name, "front", width, height), rows, lambda: PictureFiles(files))
 
 
 def find_kind(path: Path, positions: str | None = None) -> str | None:

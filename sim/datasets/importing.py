@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -166,11 +166,8 @@ def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:
     return replace(row, distance_m=chosen.distance_m, extra=extra)
 
 
-def as_feed(traverse: Traverse, path: Path, open_pictures: Callable[[], Pictures]) -> Feed:
-    """All usable rows as a feed, as `write_feed` would write them, without writing. FeedError.
-
-    `open_pictures` opens the pictures of the whole traverse again.
-    """
+def as_feed(traverse: Traverse, path: Path) -> Feed:
+    """All usable rows as a feed, as `write_feed` would write them, without writing. FeedError."""
     chosen = choose_rows(traverse, SamplingConfig(by="frames"))
     _, first = next(_pictures(traverse, chosen, None, skip_unreadable=True), (None, None))
     traverse.pictures.close()
@@ -178,7 +175,7 @@ def as_feed(traverse: Traverse, path: Path, open_pictures: Callable[[], Pictures
         raise FeedError(f"{path}: no picture in it can be used")
     indices = [row.index for row in chosen]
     rows = tuple(feed_row(traverse, row) for row in chosen)
-    return Feed(path, _header(traverse, first.shape), rows, lambda: _ChosenPictures(open_pictures(), indices))
+    return Feed(path, _header(traverse, first.shape), rows, lambda: _ChosenPictures(traverse.pictures, indices))
 
 
 class _ChosenPictures:

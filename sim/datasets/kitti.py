@@ -24,13 +24,15 @@ from sim.datasets.pictures import PictureFiles, list_pictures
 from sim.datasets.tables import read_numbers
 from sim.datasets.track import from_local
 
+CAMERAS = "image_2", "image_3", "image_0", "image_1"
+
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
-    """One camera of a sequence; `camera` is image_2 by default, `positions` another file of poses.
+    """One camera of a sequence; `camera` is the first of CAMERAS by default, `positions` another file of poses.
 
     FeedError names the file that is missing, or that has another number of lines than there are pictures.
     """
-    camera = options.camera or "image_2"
+    camera = options.camera or next((one for one in CAMERAS if (path / one).is_dir()), CAMERAS[0])
     names = list_pictures(path / camera)
     poses_file = Path(options.positions) if options.positions else path.parents[1] / "poses" / f"{path.name}.txt"
     times_s = read_numbers(path / "times.txt", 1, "it comes with the sequence's calibration files")[:, 0]

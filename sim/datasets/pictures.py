@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import FeedError, FrameError
-from edge.feed import Feed, FeedHeader, FeedImages, FeedRow, Pictures, read_feed, read_picture
+from edge.feed import Feed, FeedImages, Pictures, read_feed, read_picture
 from sim.output import needing, refusing
 
 HEIF_SUFFIXES = frozenset({".heic", ".heif"})
@@ -122,16 +122,6 @@ def list_pictures(folder: Path) -> list[str]:
     if not names:
         raise FeedError(f"{folder}: no pictures in this folder")
     return sorted(names, key=natural_key)
-
-
-def read_drive(path: Path) -> Feed:
-    """A recording; or a folder of pictures that is no feed, in the order of their names. FeedError."""
-    if not path.is_dir() or (path / "feed.toml").exists():
-        return read_feed(path)
-    files = [path / name for name in list_pictures(path)]
-    height, width = PictureFiles(files).read(0).shape[:2]
-    rows = tuple(FeedRow(file.name, number * 10**9) for number, file in enumerate(files))
-    return Feed(path, FeedHeader(path.name, "front", width, height), rows, lambda: PictureFiles(files))
 
 
 def natural_key(name: str) -> list[tuple[str, int]]:

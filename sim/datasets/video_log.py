@@ -66,7 +66,7 @@ def open_feed(log: Path, options: FeedOptions) -> Feed:
     """A log and its video as a feed; the entry point of `lookback.feeds`. FeedError."""
     video = options.video or _video_beside(log)
     read = ReadOptions(positions=str(log), offset_s=options.offset_s, view=options.view)
-    return as_feed(open_dataset("video-log", video, read), log, lambda: join_videos(video_files(video)).pictures)
+    return as_feed(open_dataset("video-log", video, read), log)
 
 
 def log_beside(video: Path) -> Path | None:

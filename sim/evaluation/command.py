@@ -9,8 +9,8 @@ from pathlib import Path
 
 import edge
 from edge.errors import ConfigError
-from edge.feed import read_feed
 from edge.reference_map import open_map_set
+from sim.datasets.found import open_recording
 from sim.evaluation.corruption import KINDS, Corruption
 from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, RecognitionScore, Value, judge, recognize
@@ -51,7 +51,7 @@ def _run(args: argparse.Namespace) -> int:
     made = maps.headers[0]
     config = load_config_for_map(args.config, made) if args.config else config_as_mapped(made)
     corruptions = [Corruption.parse(one) for one in args.corrupt]
-    feeds = [worse for feed in map(read_feed, args.feeds) for worse in (feed, *(one.feed(feed) for one in corruptions))]
+    feeds = [one for feed in map(open_recording, args.feeds) for one in (feed, *(c.feed(feed) for c in corruptions))]
     judged, rows, columns = [], [], (*COLUMNS, "camera")[: None if corruptions else -1]
     for feed in feeds:
         seen = recognize(maps, feed, config)
@@ -94,10 +94,8 @@ def _write(
 ) -> Path:
     with needing("--output", "sim"):
         from sim.evaluation import figures, report
-    curves = {one.name: precision_recall(one.answers) for one in judged}
-    plot = report.Figure(
-        "precision_recall", "Precision and recall at every confidence", figures.precision_recall_plot(curves)
-    )
+    curves = figures.precision_recall_plot({one.name: precision_recall(one.answers) for one in judged})
+    plot = report.Figure("precision_recall", "Precision and recall at every confidence", curves)
     table = report.Table("recordings", "In numbers", columns, rows)
     section = report.ReportSection("Recordings", tables=[table], figures=[plot])
     lead = [

@@ -17,7 +17,7 @@ from edge.camera.preprocessing import preprocessed_feed
 from edge.config import Config, SamplingConfig, load_config
 from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network
-from edge.feed import Feed, read_feed
+from edge.feed import Feed
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
 from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
@@ -25,6 +25,7 @@ from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
 from edge.sequence import PlaceMatch
+from sim.datasets.found import open_recording
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from sim.output import checked_option, writing
 from sim.traverse import config_as_mapped, driven_m, traverse
@@ -122,7 +123,7 @@ def config_for_feed(config: Config, feed: Feed) -> Config:
 
 def run(args: argparse.Namespace, network: Network | None = None) -> int:
     """The command; network: in place of the one that its config names."""
-    feed = read_feed(args.feed, feed_options(args))
+    feed = open_recording(args.feed, feed_options(args))
     maps = open_map_set(args.map)
     made = maps.headers[0]
     config = load_config_for_map(args.config, made) if args.config else config_as_mapped(made)

@@ -141,7 +141,8 @@ def _headline(tried: TryResult, share: float) -> str:
     if not tried.could_be_believed.any():
         return "Nothing could be recognized"
     recall = float(tried.seen.believed.mean()) if judged is None else judged.recall
-    spelled = f"{100 * recall:.0f} % of the frames, {100 * share:.0f} % after the start"
+    where = "" if tried.is_on_map.all() else " on the mapped road"
+    spelled = f"{100 * recall:.0f} % of the frames{where}, {100 * share:.0f} % after the start"
     if recall >= GOOD:
         return f"Recognized: {spelled}"
     return f"Recognized in part: {spelled}" if recall >= FAIR else "Not recognized"
@@ -247,10 +248,16 @@ def _advice(tried: TryResult, share: float) -> list[str]:
 def _length_advice(tried: TryResult) -> Iterator[str]:
     """Of recordings with few places, and how to get more."""
     enough = 2 * tried.config.sequence_frames
-    for feed, count in ((tried.reference, tried.maps.index.places), (tried.query, len(tried.seen.used))):
-        if count < enough:
-            more = ", or use more of its frames: --spacing-frames 1" if len(feed.rows) >= enough else ""
-            yield f"{feed.header.name} has {count} places, and two sequences are {enough}: record a longer drive{more}"
+    counted = (tried.reference, tried.maps.index.places), (tried.query, len(tried.seen.used))
+    short = {feed.header.name: (count, len(feed.rows)) for feed, count in counted if count < enough}
+    if short:
+        has = " and ".join(f"{name} has {count} places" for name, (count, _) in short.items())
+        more = (
+            ", or use more of its frames: --spacing-frames 1"
+            if any(rows >= enough for _, rows in short.values())
+            else ""
+        )
+        yield f"{has}, and two sequences are {enough}: record a longer drive{more}"
 
 
 def _seconds(query: Feed, meters: float) -> str:

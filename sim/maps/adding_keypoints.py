@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge.camera.preprocessing import preprocessed_feed
 from edge.config import CameraConfig, Config, load_config
 from edge.errors import ConfigError, MapError
-from edge.feed import Feed, FeedImages, read_feed
+from edge.feed import Feed, FeedImages
 from edge.files import AtomicFolder
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map import ReferenceMap, open_map
@@ -33,6 +33,7 @@ from edge_plugins.mapping.keypoint_rows import (
     keypoints_key,
 )
 from sim.datasets import USUAL_FOV
+from sim.datasets.found import open_recording
 from sim.maps.known_distances import spell_distances
 from sim.output import checked_option
 from sim.traverse import driven_m, with_course
@@ -92,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """The command."""
     camera = camera_from(args, (load_config(args.config) if args.config else Config()).camera)
-    feeds = [preprocessed_feed(read_feed(path), camera) for path in args.feeds]
+    feeds = [preprocessed_feed(open_recording(path), camera) for path in args.feeds]
     key_of = key_of_feeds(feeds)
     if key_of is None:
         raise ConfigError(f"{args.map}: without positions or distances, keypoints need a field of view; {WHERE}")

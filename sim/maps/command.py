@@ -17,12 +17,13 @@ from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
-from edge.feed import Feed, FeedOptions, read_feed
+from edge.feed import Feed, FeedOptions
 from edge.geodesy import POSITION_SOURCES
 from edge.recognition.recognizer import model_key
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key
+from sim.datasets.found import open_recording
 from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
 from sim.maps.adding_keypoints import add_fov_option, camera_from, key_of_feeds
@@ -174,8 +175,10 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         raise ConfigError(
             "--video is for one log; with several, name each video like its log (a.tlog, a.mp4) and omit --video"
         )
+    if args.output.exists() and not args.replace:
+        raise MapError(f"{args.output}: already exists; remove it, name another folder, or --replace")
     camera = camera_from(args, config.camera)
-    feeds = [preprocessed_feed(read_feed(path, feed_options(args)), camera) for path in args.feeds]
+    feeds = [preprocessed_feed(open_recording(path, feed_options(args)), camera) for path in args.feeds]
     is_metric = args.spacing_m is not None
     if sampling.by == "distance" and not is_metric:
         every = f"no distances or positions in it, so there is a place every {sampling.interval_s:g} s"
@@ -227,7 +230,7 @@ def _key_of(old: ReferenceMap, feeds: list[Feed]) -> KeyOf | None:
 
 def _extend(args: argparse.Namespace) -> int:
     old = open_map(args.map, every_file=True)
-    feeds = [read_feed(path) for path in args.feeds]
+    feeds = [open_recording(path) for path in args.feeds]
     header = old.header
     name = str(args.model or network_of_map(header.model.name))
     network = open_network(DescriptorConfig(model=name, provider=header.model.provider))

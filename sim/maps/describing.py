@@ -29,11 +29,12 @@ from edge.descriptor.network import Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.extras import import_extra
-from edge.feed import Feed, FeedOptions, Frame, read_feed
+from edge.feed import Feed, FeedOptions, Frame
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place, thumbnail
+from sim.datasets.found import open_recording
 from sim.traverse import TraverseFrame, has_odometer, traverse, whole_sigma_m, with_course
 
 MEASURED = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "position_sigma_m")
@@ -142,7 +143,7 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
 
 def describe(path: Path, work: Work) -> RecordingDescriptors:
     """A recording, on a worker."""
-    feed = with_course(preprocessed_feed(read_feed(path, work.options), work.config.camera))
+    feed = with_course(preprocessed_feed(open_recording(path, work.options), work.config.camera))
     network = _network(work.config.descriptor)
     regions = RegionsKey.of(work.config.descriptor)
     extract = KeypointNetwork().extract if work.with_keypoints else None

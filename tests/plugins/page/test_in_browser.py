@@ -303,7 +303,8 @@ def test_in_large_it_says_whether_gps_is_lost_and_by_what_the_vehicle_steers(
         before = on_the_road(1)
         changed = dataclasses.replace(before.status.link, emit="auto", gps_use=gps_use, steers_by=steers_by, **link)
         beside_m = None if position is None else beside_lane_m(position, Route(maps), 100)
-        status = replace(before.status, link=changed, position=position, beside_lane_m=beside_m)
+        state = "off the map" if steers_by in ("dead reckoning", "unknown") else "on the map"
+        status = replace(before.status, state=state, link=changed, position=position, beside_lane_m=beside_m)
         shown[:] = [dataclasses.replace(before, status=status)]
 
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
@@ -321,13 +322,14 @@ def test_in_large_it_says_whether_gps_is_lost_and_by_what_the_vehicle_steers(
              "position ± 0.7 m, 0 s ago · 0.4 m right of the mapped lane · mapped for 9"),
             ("off_map", ("lost", "dead reckoning", {"reckoned_m": 140.2}), "GPS LOST, steers by dead reckoning", "warn",
              "for 140 m"),
-            ("unknown", ("lost", "unknown", {}), "GPS LOST, position unknown", "bad", ""),
+            ("unknown", ("lost", "unknown", {}), "GPS LOST, position unknown", "bad", None),
             ("faulty", ("faulty", "GPS", {"position": AT}), "GPS FAULTY, steers by GPS", "bad", "position ±"),
         ):  # fmt: skip
             show(*given[:2], **given[2])
             until(driver, f"document.getElementById('gps').textContent === '{headline}'")
             band = driver.find_element("id", "steering")
-            assert band.get_attribute("class") == kind and reach in text(driver, "reach")
+            assert band.get_attribute("class") == kind and (reach or "") in text(driver, "reach")
+            assert reach is not None or not text(driver, "reach"), "nor what comes next"
             assert band.size["width"] >= 0.95 * width
             size = driver.execute_script("return parseFloat(getComputedStyle(document.getElementById('gps')).fontSize)")
             assert size >= 30, "readable at arm's length"
@@ -357,6 +359,10 @@ def test_in_large_it_says_whether_gps_is_lost_and_by_what_the_vehicle_steers(
         until(driver, "document.getElementById('health').textContent.includes('no position yet')")
         assert "newest position sent" not in text(driver, "health")
         route = driver.find_element("id", "route").size
+        blank = (
+            "return document.querySelector('main section').clientHeight - document.getElementById('pair').clientHeight"
+        )
+        assert driver.execute_script(blank) < 120, "no card is half empty"
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width
         assert route["width"] * route["height"] > 0.3 * width * height or width < 600, "the map fills a wide screen"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -174,7 +175,7 @@ def test_the_command_prints_the_lines_and_writes_them(
     assert args.run(args) == 0
     printed = capsys.readouterr().out
     assert "the default is kept: lower ones may reach this precision" in printed  # the drive never left the map
-    assert "forward, same     the place lies" in printed
+    assert re.search(r"forward, same     the place lies +[-\d.]+ ± [\d.]+ m ahead", printed)
     assert "[rig]\nahead_forward_same_m = " in printed
     assert "\nsigma_along_m = " in printed
     loaded = load_config(config)

@@ -45,11 +45,13 @@ def of_android(feed: Feed) -> dict[str, str]:
     return {"com.android.version": "14", "creation_time": ended.strftime("%Y-%m-%dT%H:%M:%SZ")}
 
 
-def write_track(feed: Feed, file: Path, shift_s: float = 0.0, seed: int = 0) -> None:
-    """A GPX track of a position a second, as noisy as a receiver's, from LEAD_S before the drive on (standing)."""
+def write_track(
+    feed: Feed, file: Path, shift_s: float = 0.0, seed: int = 0, *, lead_s: float = LEAD_S, more_s: float = 5.0
+) -> None:
+    """A GPX track of a position a second, as noisy as a receiver's, from lead_s before the drive on (standing)."""
     rng = np.random.default_rng(seed)
     stamps_s = np.array([row.stamp_ns for row in feed.rows]) / 1e9
-    at_s = np.arange(-LEAD_S, stamps_s[-1] + 5.0)
+    at_s = np.arange(-lead_s, stamps_s[-1] + more_s)
     wander_m, points = rng.normal(0, 1.5, 2), []
     for time_s in at_s:
         wander_m += rng.normal(0, 0.2, 2) - 0.01 * wander_m

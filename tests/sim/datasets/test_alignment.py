@@ -91,6 +91,11 @@ def test_a_track_of_another_day_and_pictures_that_show_nothing_are_refused(drive
         open_dataset("video-log", tmp_path / "fog.mp4")
     given = open_dataset("video-log", tmp_path / "fog.mp4", ReadOptions(offset_s=LEAD_S))
     assert np.median(errors_m(given, truth)) < 3.0
+    write_track(truth, tmp_path / "fog.gpx", lead_s=0.0, more_s=0.5)
+    traverse, alignment = opened(tmp_path / "fog.mp4")
+    assert "since it is as long as the track and has no creation time" in alignment.how
+    assert (alignment.offset_s, alignment.sigma_s) == pytest.approx((0.0, 1.0), abs=0.1)
+    assert np.median(errors_m(traverse, truth)) < 3.0
 
 
 @pytest.mark.long

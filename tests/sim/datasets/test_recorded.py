@@ -27,8 +27,7 @@ from edge.feed import FeedImages, FeedOptions, read_feed
 from edge.geodesy import east_north
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.flight_logs import read_log
-from sim.datasets.found import find_kind
-from sim.datasets.pictures import read_drive
+from sim.datasets.found import find_kind, read_drive
 
 WriteVideo = Callable[[Path, int, float], None]
 Degrees = Callable[[float, float], tuple[float, float]]

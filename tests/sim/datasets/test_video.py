@@ -15,7 +15,8 @@ import pytest
 
 from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
-from sim.datasets.found import find_kind
+from sim.datasets.found import find_kind, open_recording
+from sim.traverse import driven_m
 from tests.sim.datasets.conftest import HEIGHT, WIDTH, picture
 
 COUNT, FPS = 30, 10
@@ -121,6 +122,16 @@ def test_a_gopro_places_its_own_pictures(tmp_path: Path, degrees_at: Degrees) ->
     assert find_kind(tmp_path / "GX010042.MP4") == "video"
     # 10 m a second, 10 pictures a second; after the last position there is none.
     assert north_m(tmp_path / "GX010042.MP4", degrees_at)[:28] == pytest.approx(np.arange(28.0), abs=0.05)
+
+
+def test_a_video_is_read_in_place_of_a_feed_with_its_positions(tmp_path: Path, degrees_at: Degrees) -> None:
+    gopro(tmp_path / "GX010042.MP4", degrees_at)
+    feed = open_recording(tmp_path / "GX010042.MP4")
+    assert (driven_m(feed) or [])[:28] == pytest.approx(np.arange(28.0), abs=0.05)
+    images = FeedImages(feed)
+    seen = images.read(20)
+    images.close()
+    np.testing.assert_array_equal(images.read(20), seen, "what is closed opens again")
 
 
 def test_chapters_of_a_gopro_are_one_drive(

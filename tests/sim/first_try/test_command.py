@@ -90,6 +90,9 @@ def test_two_videos_with_their_tracks(
     assert feed.header.fov_deg == 70
     assert len(feed.rows) == 55, "those before the track have no position"
     assert feed.rows[0].lat_deg == pytest.approx(-27.0 + 20 / 110_800)
+    # A map has the positions of the track beside a video as well; before, it had no keypoints.
+    assert main(["map", "build", str(query), "-o", str(tmp_path / "map"), "--offset-s", "-2"]) == 0
+    assert "keyframes have map points" in capsys.readouterr().out
 
 
 @pytest.mark.long  # a whole try more, for one line of the verdict

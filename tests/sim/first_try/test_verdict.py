@@ -68,6 +68,7 @@ def test_each_reason_is_named_where_it_holds() -> None:
         (80, "not on the mapped road: no place of the map within 40 m"),
     ]
     assert "20 % of the query is not on the mapped road" not in " ".join(found.advice)
+    assert found.headline == "Recognized in part: 38 % of the frames on the mapped road, 47 % after the start"
 
 
 @pytest.mark.parametrize(("view", "is_advised"), [("front", True), ("rear", False)])
@@ -120,3 +121,7 @@ def test_a_short_drive_is_advised_of_with_the_frames_that_it_has() -> None:
     few = replace(tried.seen, used=tried.seen.used[:50], states=tried.seen.states[:50])
     advice = verdict(replace(tried, seen=few, judged=None, gray=tried.gray[:50])).advice[0]
     assert advice.startswith("query has 50 places, and two sequences are 80: record a longer drive, or use more")
+    maps = SimpleNamespace(index=SimpleNamespace(places=50))
+    both = replace(tried, seen=few, judged=None, gray=tried.gray[:50], maps=maps)  # type: ignore[arg-type]
+    advice = verdict(both).advice[0]
+    assert advice.startswith("out has 50 places and query has 50 places, and two sequences are 80: record a longer")
