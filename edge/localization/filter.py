@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from edge.localization.odometer_calibration import ScaleFactor
 from edge.localization.state import (
+    AGE,
+    AGE_SIGMA_S,
     DOUBT,
     DRAG,
     GPS,
@@ -62,6 +64,7 @@ class FilterStep:
     moved_m, doubtful_m: (2,) by the autopilot's velocity, and what of it is in doubt. turned_rad, turned_var: what its
     heading turned otherwise than by gyros, and the variance of that; None without gyros. unknown_m2: variance of the
     position, by what was driven while the velocity was unknown. bridged_m2: of the length, while it was bridged.
+    yaw_rad: by what the autopilot's heading turned.
     """
 
     moved_m: Vector
@@ -71,6 +74,7 @@ class FilterStep:
     turned_var: float = 0.0
     unknown_m2: float = 0.0
     bridged_m2: float = 0.0
+    yaw_rad: float = 0.0
 
 
 class Filter:
@@ -94,6 +98,8 @@ class Filter:
         """Whether the error of GPS stays as it is (...)."""
         self.has_gps = False
         """Whether GPS aids the velocity, which lacks the error of the compass then."""
+        self.rates = np.zeros(3)
+        """Meters east and north, and radians clockwise, in a second."""
         self._drives: dict[Hashable, tuple[int, DriveErrors]] = {}  # number of the slot; the newest match is last
         self._is_doubtful = False
 
@@ -166,6 +172,11 @@ class Filter:
         """The standard deviation of its error."""
         self._sigma[..., GPS] = sigma_m
 
+    def expect_age(self, sigma_s: float) -> None:
+        """One standard deviation of the stamps' error, beside AGE_SIGMA_S."""
+        self._sigma[..., AGE] = math.hypot(AGE_SIGMA_S, sigma_s)
+        self.set(AGE, 0.0, self._sigma[..., AGE, None] ** 2)
+
     def lose_gps(self) -> None:
         """Its error will be another one."""
         self.set(GPS, 0.0, self._sigma[..., GPS, None] ** 2 * np.eye(2))
@@ -215,6 +226,12 @@ class Filter:
         """Of the drive that was matched last."""
         return SLOTS[next(reversed(self._drives.values()))[0]] if self._drives else None
 
+    @property
+    def aged_m(self) -> tuple[Vector, Matrix]:
+        """What the vehicle has driven from an exposure to its stamp (2,), and the covariance (2, 2) of that; of one."""
+        moved_mps = self.rates[:2]
+        return self.value(AGE) * moved_mps, self.sigma(AGE) ** 2 * np.outer(moved_mps, moved_mps)
+
     def truly(self, moved_m: Vector, doubtful_m: Vector) -> Vector:
         """Meters (..., 2) of a displacement without the errors that were found."""
         share, heading_rad = self.mean[..., DOUBT], self.mean[..., HEADING]
@@ -229,6 +246,8 @@ class Filter:
     def predict(self, step: FilterStep) -> None:
         """Move on."""
         driven_m, numbers = float(np.hypot(*step.moved_m)), NUMBERS[: self.mean.shape[-1]]
+        if step.seconds > 0:
+            self.rates = np.array([*step.moved_m, step.yaw_rad]) / step.seconds
         self.since_pose_m += driven_m
         self.since_lane_m += driven_m
         was_doubtful, self._is_doubtful = self._is_doubtful, bool(step.doubtful_m.any())

@@ -14,7 +14,6 @@ from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import ImageProcessed
 from edge.localization.filter import CORRELATION_M, left_of
 from edge.localization.pose_measurement import PoseMeasurement, Vector
-from edge.localization.sequence_match import SequenceMatch
 from edge.localization.state import DriveErrors, Matrix
 
 FIRST = 2
@@ -89,13 +88,13 @@ class FusedPoses:
         return self._departing >= FIRST
 
     def add(
-        self, measured: SequenceMatch, pose: PoseMeasurement, at: ImageProcessed, fix: PlaceFix | None, origin: Origin
+        self, pose: PoseMeasurement, errors: DriveErrors, at: ImageProcessed, fix: PlaceFix | None, origin: Origin
     ) -> None:
         """One passed. fix: the filter's position then; of the newest pose nothing of the filter's past is in it."""
         self._agreeing = self._agreeing + 1 if at.stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
         self._posed_ns, self.newest = at.stamp_ns, FixCandidate()
         if self._agreeing >= FIRST:
-            self.hand_on(pose.position_m, pose.covariance, pose.heading_rad, measured.errors, at, fix, origin)
+            self.hand_on(pose.position_m, pose.covariance, pose.heading_rad, errors, at, fix, origin)
 
     def hand_on(
         self,
@@ -107,7 +106,7 @@ class FusedPoses:
         fix: PlaceFix | None,
         origin: Origin,
     ) -> None:
-        """A measurement of its own: where the vehicle is (2,), and its covariance (2, 2) without the map's error."""
+        """A measurement of its own: where the vehicle is (2,), and its covariance (2, 2) without those errors."""
         self.newest = FixCandidate()
         if fix is None or self.are_on_probation(at.stamp_ns):
             return

@@ -13,7 +13,7 @@ import numpy as np
 from edge.localization.filter import CORRELATION_M, GATE, Filter, Used, left_of
 from edge.localization.pose_measurement import SHARED_M, STANDS_M, PoseMeasurement
 from edge.localization.sequence_match import LocalMidpoint, SequenceMatch, StructureMeasurement
-from edge.localization.state import COMPASS, GPS, HEADING, POSITION, VELOCITY, Matrix, Slot, Vector
+from edge.localization.state import AGE, COMPASS, GPS, HEADING, POSITION, VELOCITY, Matrix, Slot, Vector
 
 GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
@@ -52,6 +52,7 @@ def by_pose(state: Filter, slot: Slot, pose: PoseMeasurement, *, is_evidence: bo
     """
     shared = np.maximum(1.0, SHARED_M / np.maximum(state.since_pose_m, STANDS_M))
     rows = state.rows((POSITION, PLANE), (slot.map, PLANE), (slot.whole, PLANE), (HEADING, TURN), (slot.aim, TURN))
+    rows[..., AGE] = -state.rates[:, None]
     if state.has_gps:
         rows[..., COMPASS] = -TURN
     off, noise = -state.expected(rows), shared[..., None, None] * pose.pose_covariance
@@ -112,6 +113,7 @@ def _midpoint_innovation(state: Filter, slot: Slot, midpoint: LocalMidpoint) -> 
     along, since_m, doubtful_m = midpoint.along, midpoint.since_m[:2], midpoint.since_m[2:]
     axes = np.array([along, left_of(along)])
     rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))
+    rows[..., AGE] = [[-math.hypot(*state.rates[:2])], [0.0]]
     off_m = axes @ midpoint.place_m - state.expected(rows) + state.truly(since_m, doubtful_m) @ axes.T
     rows[..., VELOCITY] = -axes @ state.slopes(since_m, doubtful_m)
     return rows, off_m

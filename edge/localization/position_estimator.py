@@ -189,11 +189,11 @@ class PositionEstimator:
         match = frame.match
         self._is_recognized = match is not None and match.accepted
         tracker, believed = self._tracker, self._gps.believed(self._own)
-        timestamp_sigma_m, before = frame.timestamp_sigma_s * (self._own.speed_mps or 0.0), self._motion
+        before = self._motion
         yaw_rad = self._yaw_rad(frame.stamp_ns)
-        with_pose = None if match is None else self._georeferencer.pose_measurement(match, timestamp_sigma_m, yaw_rad)
+        with_pose = None if match is None else self._georeferencer.pose_measurement(match, yaw_rad)
         tracker.may_leave_gps = self._own.fuses_poses and self._config.gates.doubted_gps == "switch"
-        is_compared = tracker.update(frame, with_pose, believed, timestamp_sigma_m, yaw_rad)
+        is_compared = tracker.update(frame, with_pose, believed, yaw_rad)
         driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
         self._motion, was_wrong = frame.motion, self._gps.is_wrong
         if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):

@@ -134,11 +134,8 @@ class Georeferencer:
         offset_m = along_m - self.route.route_m(match.place_index)
         return position_on_route(self.route, match.place_index, offset_m, match.direction)
 
-    def of(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
-        """A match in local meters; None where the map has no positions, or where the vehicle's course differs.
-
-        timestamp_sigma_m: one standard deviation along the road by that of the time of exposure.
-        """
+    def of(self, match: PlaceMatch) -> SequenceMatch | None:
+        """A match in local meters; None where the map has no positions, or where the vehicle's course differs."""
         middle = sequence_midpoint(match, self.route, self.length)
         if middle is None or len(self._readings) < self.length:
             return None
@@ -157,13 +154,11 @@ class Georeferencer:
             midpoint=LocalMidpoint(there.place_m + left_m * left_of(there.along), there.along, since_m),
             along_m=middle.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=middle.sigma_m,
-            errors=self._errors(match, drive, middle.along_m, there.along, there.map_sigma_m, timestamp_sigma_m),
+            errors=self._errors(match, drive, middle.along_m, there.along, there.map_sigma_m, 0.0),
             sigma_factor=faint,
         )
 
-    def pose_measurement(
-        self, match: PlaceMatch, timestamp_sigma_m: float, yaw_rad: float | None = None
-    ) -> SequenceMatch | None:
+    def pose_measurement(self, match: PlaceMatch, yaw_rad: float | None = None) -> SequenceMatch | None:
         """The keypoint pose of a match, with its drive; None without one, or if the keyframe has no heading.
 
         yaw_rad: see `PoseMeasurement`.
@@ -190,7 +185,7 @@ class Georeferencer:
         road_rad = math.radians(road.heading_deg)
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
         along_m = route.route_m(seen.place_index) + forward_m
-        camera_m = math.hypot(rig.look_sigma_m or rig.sigma_along_m, timestamp_sigma_m)
+        camera_m = rig.look_sigma_m or rig.sigma_along_m
         measured = PoseMeasurement(position_m, pose, heading_rad, seen.points, yaw_rad)
         return SequenceMatch(
             match=match,
@@ -203,7 +198,7 @@ class Georeferencer:
             pose=measured,
         )
 
-    def structure_measurement(self, match: PlaceMatch, timestamp_sigma_m: float) -> StructureMeasurement | None:
+    def structure_measurement(self, match: PlaceMatch) -> StructureMeasurement | None:
         """A match's `StructureMatch` in local meters; None without one, or where the map has no positions."""
         seen = match.structure
         if seen is None or len(self._readings) <= seen.frames:
@@ -218,7 +213,7 @@ class Georeferencer:
         if not heads_along(road_rad, _course_rad(since_m)):
             return None
         place_m = self.local(road) + sign * seen.left_m * left_of(along) - rig.look_ahead_m(match.direction) * along
-        drive, camera_m = self.route.drive(place), math.hypot(rig.look_sigma_m or rig.sigma_along_m, timestamp_sigma_m)
+        drive, camera_m = self.route.drive(place), rig.look_sigma_m or rig.sigma_along_m
         along_m = self.route.route_m(place) + seen.ahead_m
         return StructureMeasurement(
             (drive.segment, match.direction),

@@ -129,6 +129,7 @@ class Tracker:
         self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
+        self._stamp_sigma_s = -1.0  # of its stamp; none so far
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self._poses = FusedPoses()
@@ -141,15 +142,14 @@ class Tracker:
         frame: ImageProcessed,
         with_pose: SequenceMatch | None,
         own: AutopilotState,
-        timestamp_sigma_m: float = 0.0,
         yaw_rad: float | None = None,
     ) -> bool:
         """Use a frame; whether a place was compared with the state. with_pose: the match with its keypoint pose.
 
         own: the autopilot's state, as far as it is believed. yaw_rad: its heading at the exposure.
         """
-        motion, match, self._yaw_rad = frame.motion, frame.match, yaw_rad
-        before = self._at
+        motion, match, before, yaw_before = frame.motion, frame.match, self._at, self._yaw_rad
+        self._yaw_rad = yaw_rad
         if motion is None:
             self.reset()
             return False
@@ -162,7 +162,8 @@ class Tracker:
             self._georeferencer.clear()
         self._at = frame
         if before is not None and before.motion is not None:
-            self._move(before, frame)
+            self._move(before, frame, math.remainder((yaw_rad or 0.0) - (yaw_before or yaw_rad or 0.0), math.tau))
+        is_undated = self._is_undated(frame.timestamp_sigma_s)
         if frame.in_line:
             self._georeferencer.add(_vector(motion))
         gps_m = self._gps(frame, own)
@@ -178,18 +179,25 @@ class Tracker:
             self._lose_position()
         measured = None
         is_faint = match is not None and with_pose is not None and (seen := match.seen) and seen.confidence < SURE
-        is_evidence = match is not None and match.alone.accepted and timestamp_sigma_m <= UNDATED_M and not is_faint
-        if match is not None and match.accepted and (timestamp_sigma_m <= UNDATED_M or gps_m is None):
-            measured = self._measured(match, with_pose, timestamp_sigma_m)
+        is_evidence = match is not None and match.alone.accepted and not is_undated and not is_faint
+        if match is not None and match.accepted and not (is_undated and gps_m is not None):
+            measured = self._measured(match, with_pose)
         if measured is not None:
             self._use(measured, own, frame.stamp_ns, is_evidence=is_evidence)
-        self._use_structure(match, timestamp_sigma_m, frame.stamp_ns)
+        self._use_structure(None if is_undated else match, frame.stamp_ns)
         has_gps = gps_m is not None and self.follows_gps
         self.bank.judge(frame.stamp_ns / 1e9, has_gps=has_gps)
         if not has_gps and self._corrects_itself(frame.stamp_ns) and measured is not None:
             self._add(self._track or TrackScore(0.0), measured, frame.stamp_ns)
         self._choose_origin()
         return measured is not None and is_evidence
+
+    def _is_undated(self, sigma_s: float) -> bool:
+        """Use the standard deviation of a stamp; whether the place of its frame is uncertain by more than UNDATED_M."""
+        if sigma_s != self._stamp_sigma_s:
+            self._stamp_sigma_s = sigma_s
+            self.bank.all.expect_age(sigma_s)
+        return sigma_s * math.hypot(*self.bank.all.rates[:2]) > UNDATED_M
 
     def _gps(self, frame: ImageProcessed, own: AutopilotState) -> Vector | None:
         """Where GPS has the vehicle at a frame; None without GPS."""
@@ -285,16 +293,14 @@ class Tracker:
         is_known = self._track is not None and state.since_pose_m < CORRELATION_M
         return (state.value(HEADING), state.sigma(HEADING)) if is_known else None
 
-    def _measured(
-        self, match: PlaceMatch, with_pose: SequenceMatch | None, timestamp_sigma_m: float
-    ) -> SequenceMatch | None:
+    def _measured(self, match: PlaceMatch, with_pose: SequenceMatch | None) -> SequenceMatch | None:
         """Where a match has the vehicle: by its keypoint pose, or else by its sequence."""
         if with_pose is not None:
             return with_pose
         # Where another place fits this frame better, the votes know the place, but no sequence ends in this frame.
         if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return None
-        return self._georeferencer.of(match, timestamp_sigma_m)
+        return self._georeferencer.of(match)
 
     def _use(self, measured: SequenceMatch, own: AutopilotState, stamp_ns: int, *, is_evidence: bool) -> None:
         if not self._is_placed:
@@ -336,16 +342,23 @@ class Tracker:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
         at, origin = self._at, self._georeferencer.origin
         if measured.pose is not None and at is not None and origin is not None:
-            self._poses.add(measured, measured.pose, at, self._exposure, origin)
+            position_m, errors = self._by_stamp(measured.pose.position_m, measured.errors)
+            pose = dataclasses.replace(measured.pose, position_m=position_m)
+            self._poses.add(pose, errors, at, self._exposure, origin)
 
-    def _use_structure(self, match: PlaceMatch | None, timestamp_sigma_m: float, stamp_ns: int) -> None:
+    def _by_stamp(self, position_m: Vector, errors: DriveErrors) -> tuple[Vector, DriveErrors]:
+        """A position (2,) at the exposure, where its stamp says; poses share the stamps' error as they do the map's."""
+        aged_m, spread = self.bank.right.aged_m
+        return position_m + aged_m, dataclasses.replace(errors, whole=errors.whole + spread)
+
+    def _use_structure(self, match: PlaceMatch | None, stamp_ns: int) -> None:
         """Correct by structure that agrees with the one before, and hand on the third one like a keypoint pose."""
-        if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or not self._is_placed:
+        if match is None or not match.accepted or not self._is_placed:
             return
-        seen, at = self._georeferencer.structure_measurement(match, timestamp_sigma_m), self._at
+        seen, at = self._georeferencer.structure_measurement(match), self._at
         if seen is None or at is None or at.motion is None:
             return
-        line = self._georeferencer.of(match, timestamp_sigma_m)  # also where no sequence ends in this frame
+        line = self._georeferencer.of(match)  # also where no sequence ends in this frame
         if line is None or not self._structure.agrees(seen, _vector(at.motion), self.bank.right):
             return
         track = self._track or TrackScore(self._by_chance(line))
@@ -354,7 +367,9 @@ class Tracker:
         self._add(track, line, stamp_ns)
         handed_on, origin = self._structure.handed_on(self.bank.right), self._georeferencer.origin
         if handed_on is not None and origin is not None:
-            self._poses.hand_on(*handed_on, seen.errors, at, self._exposure, origin)
+            position_m, covariance, heading_rad = handed_on
+            position_m, errors = self._by_stamp(position_m, seen.errors)
+            self._poses.hand_on(position_m, covariance, heading_rad, errors, at, self._exposure, origin)
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
@@ -468,9 +483,10 @@ class Tracker:
         is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
         return is_silent or track.since_m + driven_m > self._config.lost_after_m
 
-    def _move(self, before: ImageProcessed, now: ImageProcessed) -> None:
+    def _move(self, before: ImageProcessed, now: ImageProcessed, yaw_rad: float) -> None:
         assert before.motion is not None and now.motion is not None
         step = self._step(before.motion, now.motion, (now.stamp_ns - before.stamp_ns) / 1e9, before, now)
+        step = dataclasses.replace(step, yaw_rad=yaw_rad)
         unknown_m = now.motion.unknown_since(before.motion)
         self._bridged_m = self._bridged_m + unknown_m if unknown_m > 0 else 0.0
         driven_m = float(np.hypot(*step.moved_m))

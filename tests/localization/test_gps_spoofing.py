@@ -132,7 +132,7 @@ def test_a_drag_that_ends_in_a_jam_leaves_what_places_say(long_road: Road, drag_
     alone: from the call on no position is of the filter that followed GPS."""
     config, every, least = (SETTINGS, EVERY, 25) if math.isfinite(drag_s) else (SWITCHED, 10**6, 8)
     one, rng, sigmas = Vehicle(long_road, config, LENGTH_M - 10.0, "reverse"), np.random.default_rng(3), []
-    for frame, time_s in enumerate((np.arange(420) * FRAME_NS / 1e9).tolist()):
+    for frame, time_s in enumerate((np.arange(440) * FRAME_NS / 1e9).tolist()):
         has_gps, one.off_m = time_s < 20.0 + drag_s, 0.5 * min(max(time_s - 20.0, 0.0), drag_s)
         one.move()
         one.own(has_gps=has_gps)

@@ -101,7 +101,7 @@ def test_a_pose_of_rendered_pictures_puts_a_vehicle_where_it_is(
     pose = pose_to_keyframe(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
     found = KeyframeMatch(ROW, pose.right_m, pose.ahead_m, pose.turn_rad, pose.covariance, pose.inliers, 0.9)
-    measured = georeferencer.pose_measurement(match(ROW, direction, order="same", seen=found), 0.0)
+    measured = georeferencer.pose_measurement(match(ROW, direction, order="same", seen=found))
 
     assert measured is not None and measured.pose is not None and georeferencer.origin is not None
     origin_m = east_north_of(*georeferencer.origin, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))

@@ -255,18 +255,22 @@ def test_poses_on_any_drive_of_a_road_are_as_good_as_on_the_only_one(
 
 
 @pytest.mark.parametrize(
-    ("late_s", "late_rows", "most"),
-    [(0.4, 0, 3.0), (0.0, 2, 4.0), (0.0, -2, 4.0)],
-    ids=["frames", "rows", "early rows"],
+    ("late_s", "late_rows", "speed_mps"),
+    [(0.5, 0, 8.0), (-0.5, 0, 8.0), (0.3, 0, 15.0), (0.0, 2, 8.0), (0.0, -2, 8.0)],
+    ids=["frames", "early frames", "fast", "rows", "early rows"],
 )
 def test_poses_that_are_4_m_late_are_within_what_positions_say(
-    late_s: float, late_rows: int, most: float, tmp_path: Path
+    late_s: float, late_rows: int, speed_mps: float, tmp_path: Path
 ) -> None:
-    """By frames that are 0.4 s old and do not say so, or keypoints of another row: about 1.4 m is what is said."""
-    sigmas = Bench(Course(poses=True, late_s=late_s, late_rows=late_rows), 0, tmp_path).run().sigmas
-    assert len(sigmas) > 100
+    """By frames that are so old and do not say so, or keypoints of another row: about 1.4 m is what is said.
+
+    Before the age of pictures was in the state, frames were up to 4.4 sigma off.
+    """
+    course = Course(poses=True, late_s=late_s, late_rows=late_rows, speed_mps=speed_mps)
+    sigmas = Bench(course, 3 if late_s else 0, tmp_path).run().sigmas
+    assert len(sigmas) > 60
     assert np.sqrt(np.mean(np.square(sigmas))) > 1.5
-    assert max(sigmas) < most
+    assert max(sigmas) < 4.0
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,7 @@ class _Drive:
             return
         seen = self._truth.seen(at_s, "front")
         where = f"{seen.light}, {'home' if seen.direction == 'reverse' else 'again'}"
-        pose, matched = georeferencer.pose_measurement(match, 0.0), georeferencer.of(match, 0.0)
+        pose, matched = georeferencer.pose_measurement(match), georeferencer.of(match)
         if pose is not None and pose.pose is not None:
             map_m = math.hypot(pose.errors.map_m, math.sqrt(float(np.trace(pose.errors.whole)) / 2))
             spread = pose.pose.covariance + map_m**2 * np.eye(2)
