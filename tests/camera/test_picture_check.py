@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import cycle, pairwise, product
 from pathlib import Path
 from typing import TypeAlias
@@ -116,10 +117,17 @@ def test_no_recorded_picture_is_said_to_be_the_one_from_which_the_vehicle_has_dr
             assert len(used) >= sum(moved), feed.path
 
 
+@cache
+def grain(shape: tuple[int, ...]) -> Floats:
+    """The noise of a sensor, which demosaicing has smeared; its standard deviation is 1."""
+    drawn = cv2.GaussianBlur(np.random.default_rng(7).normal(0, 1, shape).astype(np.float32), (0, 0), 0.8)
+    return np.asarray(drawn / drawn.std())
+
+
 def encoded(picture: Floats, noise: float, quality: int, rng: np.random.Generator) -> Image:
-    """A picture with the noise of a sensor, which demosaicing has smeared, as a camera encodes it."""
-    grain = cv2.GaussianBlur(rng.normal(0, 1, picture.shape), (0, 0), 0.8)
-    with_noise = (picture + noise * grain / grain.std()).clip(0, 255).astype(np.uint8)
+    """A picture with such noise, moved by chance, as a camera encodes it."""
+    drawn = np.roll(grain(picture.shape), rng.integers(0, picture.shape[:2]), (0, 1))
+    with_noise = (picture + noise * drawn).clip(0, 255).astype(np.uint8)
     jpeg = cv2.imencode(".jpg", with_noise, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
 

@@ -12,6 +12,7 @@ import fcntl
 import hashlib
 import json
 import re
+import shutil
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -76,19 +77,28 @@ def build_maps(case: Case, scratch: Path, network: Network) -> Path:
     """The map, the folder of maps, or the tiles of a case; cases that share `scratch` share them."""
     path = scratch / hashlib.sha256(msgspec.json.encode((case.maps, case.build))).hexdigest()
     tiles = path.with_suffix(f".{case.tiles}")
-    with path.with_suffix(".lock").open("w") as lock:  # of cases that other processes run
+    with (scratch / "maps.lock").open("w") as lock:  # of cases that other processes run
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not path.exists():
-            half_done = Path(tempfile.mkdtemp(dir=scratch)) / "map"
-            for name, recordings in case.maps.items():
-                output = half_done / name if len(case.maps) > 1 else half_done
-                output.parent.mkdir(exist_ok=True)
-                feeds = [str(RECORDINGS / each) for each in recordings]
-                _lookback("map", "build", *feeds, "-o", str(output), *case.build, network=network)
+        built = {name: _build(recordings, case, scratch, network) for name, recordings in case.maps.items()}
+        if len(built) == 1:
+            path = next(iter(built.values()))
+        elif not path.exists():
+            half_done = Path(tempfile.mkdtemp(dir=scratch))
+            for name, one in built.items():
+                shutil.copytree(one, half_done / name)
             half_done.rename(path)
         if case.tiles and not tiles.exists():
             _lookback("map", "split", str(path), "-o", str(tiles), "--places", str(case.tiles))
     return tiles if case.tiles else path
+
+
+def _build(recordings: tuple[str, ...], case: Case, scratch: Path, network: Network) -> Path:
+    path = scratch / hashlib.sha256(msgspec.json.encode((recordings, case.build))).hexdigest()
+    if not path.exists():
+        half_done, feeds = Path(tempfile.mkdtemp(dir=scratch)) / "map", [str(RECORDINGS / each) for each in recordings]
+        _lookback("map", "build", *feeds, "-o", str(half_done), *case.build, network=network)
+        half_done.rename(path)
+    return path
 
 
 def replay_case(folder: Path, scratch: Path, network: Network) -> dict[str, str]:

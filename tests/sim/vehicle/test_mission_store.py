@@ -14,6 +14,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim.vehicle.mission_store import KINDS, MissionStore
+from tests.common import PATIENCE_S
 from tests.tlog import messages_of
 
 pytest.importorskip("mavsdk")
@@ -51,7 +52,7 @@ def judged(firmware: str) -> Iterator[tuple[SimulatedAutopilot, MissionRaw]]:
 
 
 def first_system(station: Any) -> Any:
-    found, gone = threading.Event(), time.monotonic() + 15
+    found, gone = threading.Event(), time.monotonic() + PATIENCE_S
     station.subscribe_on_new_system(lambda *_: found.set())
     while not station.get_systems():
         assert time.monotonic() < gone, "MAVSDK does not hear the simulated autopilot"
