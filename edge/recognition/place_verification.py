@@ -47,10 +47,12 @@ RIVALS = 6
 """Candidates elsewhere with most matches that a pose is sought by as well: the right place need not be among the first.
 By 3 of them, 6 of 250 frames home at night on that street are believed, 324 m off; by 6 none. A frame that looks for
 its place takes 1.16 times as long, 1.4 times as without any."""
-KEPT_PLACES = 16
-"""Whose points stay in memory, 32 kB each: the next but one local map has four of five places of this one."""
-AROUND_M = 0.0, -4.0, 4.0, -8.0, 8.0
-"""Along the drive, to the places of a local map."""
+KEPT_PLACES = 36
+"""Whose points stay in memory, 32 kB each: those of four local maps."""
+AROUND_M = 0.0, -2.0, 2.0, -4.0, 4.0, -6.0, 6.0, -8.0, 8.0
+"""Along the drive, to the places of a local map. Of five, 4 m apart, 0.90 and 0.79 of the frames home at night were
+known 5 and 6 m beside the lane (road 9671), with gaps of 12 and 22 m, of nine 0.94 and 0.85 (4 and 16 m) in the same
+time. With 600 keypoints of a picture in place of 300 it would be 0.94 and 0.89, in 4 to 8 ms more."""
 WIDE = np.array([(right, ahead, 0.0) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for ahead in (-6.0, 0.0, 6.0)])
 """Starts by a local map, as `STARTS`."""
 

@@ -4,7 +4,7 @@ A rear camera's map by day, without and with a front camera's of the way home in
 moved sideways from the lane of the first drive, below zero away from the other lane, at last turned. A single picture,
 every 20 m, is compared with the local map around the place nearest to it; a right pose is one within RIGHT_M. Along a
 drive the recognizer has a picture every 2 m, the odometer and the course, and nothing else; a frame is known if its
-pose is believed. Each drive is compared with the next road's map as well, as one of a vehicle elsewhere.
+pose is believed. Each drive is compared with the next road's map of both ways as well, as one of a vehicle elsewhere.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
             f"| {drives_of} | {light} | {beside_m:g} m | {turned_deg:g} deg | {shares} | {gap_m:.0f} m"
             f" | {np.median(far_m):.2f} / {np.percentile(far_m, 95):.2f} m | {ratio[0]:.2f}, {ratio[1]:.2f} |"
         )
-        for of, feed in zip(maps, feeds[1:] + feeds[:1], strict=True) if len(maps) > 1 else ():
+        for of, feed in zip(maps, feeds[1:] + feeds[:1], strict=True) if len(maps) > 1 and count > 1 else ():
             believed = np.isfinite(_along(of, feed)[:, 1])
             elsewhere += believed.sum(), np.isfinite(_pictures(of, feed)).sum(), len(believed)
     yield f"\nElsewhere: {elsewhere[0]} of {elsewhere[2]} frames known, {elsewhere[1]} pictures with any pose."
