@@ -105,7 +105,7 @@ class SequenceMatcher:
             self._keyframes = self._open_keyframes(map_set)
         self._structure = self._structure or self._open_structure(map_set)
         if self._structure is not None:
-            self._structure.use_maps(map_set)
+            self._structure.grow(map_set)
         if self._drives.is_metric != was_metric:  # lengths have another unit
             self._begin_consensus()
 
@@ -178,7 +178,11 @@ class SequenceMatcher:
         settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         self._consensus.settings, self._of_halves.settings = settings, settings.of_halves()
         prior = self._prior(travel.dead_reckoning)
-        belief = self._consensus.update(self._vote(self.best), odometer_m, step, *(prior or ()))
+        structure = None
+        if self._structure is not None and image is not None:
+            structure = self._vote(self._structure.add(image, travel.moved_m))
+            self._stopwatch("structure")
+        belief = self._consensus.update(self._vote(self.best), odometer_m, step, *(prior or ()), structure=structure)
         both = belief, self._belief_of_halves(odometer_m, step, prior)
         belief = max(filter(None, both), key=lambda one: one.confidence, default=None)
         if image is not None and self._keyframes is not None and self._keyframes.is_due(self._consensus.driven_m):
@@ -187,9 +191,9 @@ class SequenceMatcher:
         self._follow(believed)
         self._stopwatch("belief")
         if self._structure is not None and image is not None:
-            structure = self._structure.push(image, travel.moved_m, believed)
+            matched = self._structure.match(believed)
             self._stopwatch("structure")
-            believed = believed and replace(believed, structure=structure)
+            believed = believed and replace(believed, structure=matched)
         return believed
 
     def _belief_of_halves(

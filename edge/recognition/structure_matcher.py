@@ -3,7 +3,7 @@
     used frames -> keypoints -> points of the last 40 m, by the odometer -> cells -> StructureMatch
     the map's places, with points, around the place that is believed ----> cells ->
 
-It establishes no place: it is asked where one is believed, and finds the vehicle within SEARCH_M of it.
+Where a place is believed, it finds the vehicle within SEARCH_M of it. Before, it votes for one, see `StructureSearch`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from edge.keypoints.drive_points import points_of_drive, reckoned
 from edge.keypoints.mount import Mount, mount_of_drive
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.points import REACH_M
+from edge.recognition.structure_search import LONGEST_M, SHORTEST_M, StructureSearch
 from edge.reference_map import MapSet
 from edge.reference_map.keypoint_records import points_of
 from edge.sequence import PlaceMatch
@@ -35,8 +36,12 @@ SEARCH_M = 20.0
 """Along the drive, to each side of where the place that is believed has the vehicle."""
 APART_M = 20.0
 """Driven between two matches."""
-PATIENCE = 40
-"""Frames without a believed place in opposite views, as of a sequence, in which points are still found."""
+VOTES_APART_M = 4.0
+"""Driven between two votes, which takes TODO ms each."""
+UNIQUE, SHARPNESS, CLEAR_MARGIN = 0.05, 0.1, 1.0
+"""What a vote by structure says, in terms of one by a sequence: uniqueness over 1 a standard deviation of margin,
+and from which margin on the newest frame supports the place. On the map .9 of the margins are 1 to 6, elsewhere 0 to 2.
+"""
 MOST_OF_FRAME = 300
 """Keypoints of a picture: as many as a map keeps of a place."""
 KEPT_PLACES = 256
@@ -62,11 +67,12 @@ class StructureMatcher:
     ) -> None:
         """network_of: opens it when it is first needed. apart_m: driven between two matches, at least."""
         self._config, self._network_of, self._apart_m = config, network_of, apart_m
-        self.use_maps(map_set)
+        self.grow(map_set)
+        self._search = StructureSearch(map_set, config, self._read_place)
         self.reset()
 
-    def use_maps(self, map_set: MapSet) -> None:
-        """Match with the drives of these maps from now on."""
+    def grow(self, map_set: MapSet) -> None:
+        """Match with a set from now on that has further places after those so far; for these there are no votes."""
         self._map_set = map_set
         self._path = lru_cache(2)(self._read_path)
         self._place = lru_cache(KEPT_PLACES)(self._read_place)
@@ -75,24 +81,28 @@ class StructureMatcher:
         """No frame so far counts."""
         self._rows: list[_Row] = []
         self._mount: Mount | None = None
-        self._matched_m = -math.inf
-        self._unbelieved = PATIENCE  # frames
+        self._matched_m = self._voted_m = -math.inf
+        self._is_alike = False  # the place that is believed, and the vehicle's views
 
-    def push(
-        self, image: Image, ground_m: tuple[float, float] | None, believed: PlaceMatch | None
-    ) -> StructureMatch | None:
-        """Where the vehicle was in the middle of the window; None where too little was driven, or nothing fits.
+    def add(self, image: Image, ground_m: tuple[float, float] | None) -> PlaceMatch | None:
+        """Add a used frame; the place that fits it best each VOTES_APART_M, None where too little was driven.
 
         image: (H, W, 3) uint8 BGR. ground_m: meters east and north by the odometer, None where not known. MapError for
         a map that was cut off.
         """
-        is_opposed = believed is not None and believed.accepted and self.is_opposed(believed)
-        self._unbelieved = 0 if is_opposed else self._unbelieved + 1
-        if ground_m is None or self._unbelieved > PATIENCE:
+        if ground_m is None or self._is_alike:
             self.reset()
             return None
         self._add(image, ground_m)
-        return self._match(believed) if believed is not None and is_opposed else None
+        return self._vote() if self._search.read_on() else None
+
+    def match(self, believed: PlaceMatch | None) -> StructureMatch | None:
+        """Where the vehicle was in the middle of the window by the place that is believed; None where nothing fits."""
+        if believed is None or not believed.accepted:
+            self._is_alike = False
+            return None
+        self._is_alike = not self.is_opposed(believed)
+        return self._match(believed) if self._rows and not self._is_alike else None
 
     def is_opposed(self, match: PlaceMatch) -> bool:
         """Whether the vehicle passes the place of a match with its camera the other way, and its map has keypoints."""
@@ -105,13 +115,27 @@ class StructureMatcher:
     def _add(self, image: Image, ground_m: tuple[float, float]) -> None:
         step_m = math.dist(ground_m, self._rows[-1].ground_m) if self._rows else 0.0
         if step_m > REACH_M:
-            unbelieved = self._unbelieved
             self.reset()
-            self._unbelieved = unbelieved
         along_m = self._rows[-1].along_m + step_m if self._rows else 0.0
         self._rows.append(_Row(along_m, ground_m, self._network_of().extract(image, MOST_OF_FRAME)))
         self._place_rows(along_m - REACH_M)
-        self._rows = [row for row in self._rows if row.along_m >= along_m - LAG_M - WINDOW_M - FARTHEST_M]
+        self._rows = [row for row in self._rows if row.along_m >= along_m - LAG_M - LONGEST_M - FARTHEST_M]
+
+    def _vote(self) -> PlaceMatch | None:
+        now_m = self._rows[-1].along_m
+        window_m = 2 * math.floor(min(LONGEST_M, now_m - LAG_M - self._rows[0].along_m) / 2)
+        if window_m < SHORTEST_M or now_m - self._voted_m < VOTES_APART_M:
+            return None
+        self._voted_m, since_m = now_m, LAG_M + window_m / 2
+        fit = self._search.best(self._own_points() - (now_m - since_m, 0.0, 0.0), window_m)
+        if fit is None:
+            return None
+        sign = 1 if fit.direction == "forward" else -1
+        first, end = self._map_set.index.segment(fit.drive)
+        along_m = fit.along_m + sign * (since_m + self._config.rig.ahead_m(fit.direction, "swapped"))
+        place = first + int(np.abs(self._map_set.places["route_m"][first:end] - along_m).argmin())
+        evidence = 1 + UNIQUE * fit.margin, SHARPNESS, 0.0 if fit.margin > CLEAR_MARGIN else 1.0
+        return PlaceMatch(place, place, fit.direction, "swapped", 1.0, 0.0, *evidence)
 
     def _match(self, believed: PlaceMatch) -> StructureMatch | None:
         now_m = self._rows[-1].along_m

@@ -52,7 +52,7 @@ from edge.sequence import Direction, PlaceMatch
 from edge.sequence.prior import Prior
 
 MOST_VOTES = 256
-"""Votes that are kept at most; 320 m at one place each 2 m are 160."""
+"""Votes that are kept at most; 320 m at one place each 2 m are 160, and 80 of structure."""
 FULL_SUPPORT = 0.4
 """Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
 LIKE_NEWEST = 0.04
@@ -235,6 +235,7 @@ class PlaceConsensus:
         self.driven_m, self.uncertain_m = 0.0, 0.0
         """Driven by the newest frame, and how uncertain that is."""
         self._odometer_m: float | None = None
+        self._slots = deque[list[int]](maxlen=max(1, self.settings.length // 2))  # of each of the newest frames
         self._newest = np.zeros(0, np.intp)
         """Slots of the newest votes, of half a sequence."""
         self._roads = deque[float](maxlen=self.settings.length)  # of the newest frames, see _VOTE
@@ -249,19 +250,24 @@ class PlaceConsensus:
         places: float = 1.0,
         prior: Prior | None = None,
         away_of: AwayOf | None = None,
+        *,
+        structure: PlaceVote | None = None,
     ) -> PlaceBelief | None:
         """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
 
         vote: None if the frame has no match. odometer_m: meters driven at the frame, None where not known. places: that
         were passed since the last frame, as far as it is known without the odometer. prior, away_of: where the vehicle
-        is reckoned now, None where that is not known.
+        is reckoned now, None where that is not known. structure: the vote by what stands along the last meters.
         """
         self._was_measured |= odometer_m is not None
         self._move(odometer_m, places, None if vote is None or self._was_measured else vote.spacing_m)
         self._roads.append(prior.road if prior else 1.0)
-        slot = None if vote is None else self._place(vote)
+        votes = [one for one in (vote, structure) if one is not None]
+        if votes:
+            self._slots.append([])
+        slots = [self._place(one) for one in votes]
         self._now_m = self._moved_m()
-        if slot is not None:
+        for slot in slots:
             self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)
         evidence = self._evidence()
         leader = int(evidence.live.argmax())
@@ -299,7 +305,8 @@ class PlaceConsensus:
         """Put a vote into its slot."""
         votes, slot = self._votes, self._count % len(self._votes)
         self._count += 1
-        self._newest = np.arange(max(0, self._count - max(1, self.settings.length // 2)), self._count) % len(votes)
+        self._slots[-1].append(slot)
+        self._newest = np.concatenate([*self._slots])
         sign = 1.0 if vote.direction == "forward" else -1.0
         offset_m = vote.along_m - sign * self.driven_m
         lengths_m = self.driven_m, self.uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m, vote.ahead_m

@@ -6,6 +6,7 @@ Cells are (along, left, up). A match is the greatest cosine of what is more and 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,20 @@ QUIET = 0.3
 """Added to the standard deviation of a cell, in logarithms of counts."""
 
 
+class Stretch(NamedTuple):
+    """Cells (S, L, U) along a drive of the map, less the mean over the deviation (L, U) of all of them."""
+
+    cells: Floats
+    mean: Floats
+    deviation: Floats
+
+    @classmethod
+    def of(cls, cells: Floats) -> Stretch:
+        """Of logarithms of counts (S, L, U)."""
+        mean, deviation = cells.mean(axis=0), cells.std(axis=0) + QUIET
+        return cls((cells - mean) / deviation, mean, deviation)
+
+
 class Fit(NamedTuple):
     """How far along the map's drive a window's middle lies, and to the left of it; sigma_m: of both. score: cosine."""
 
@@ -46,7 +61,7 @@ def best_fit(points: Floats, stretch: Floats, about_m: float, window_m: float, s
     places = int(np.ceil(2 * search_m / CELL_M)) + 1
     last_m = first_m + window_m + (places - 1) * CELL_M
     window = cells_of(points, -window_m / 2, window_m / 2, WIDE_M)
-    usual = cells_of(stretch, first_m - USUAL_M, last_m + USUAL_M, WIDE_M + SIDEWAYS_M)
+    usual = Stretch.of(cells_of(stretch, first_m - USUAL_M, last_m + USUAL_M, WIDE_M + SIDEWAYS_M))
     scores = scores_of(window, usual, int(USUAL_M / CELL_M), places)
     at = np.unravel_index(scores.argmax(), scores.shape)
     row, column = int(at[0]), int(at[1])
@@ -75,21 +90,33 @@ def cells_of(points: Floats, from_m: float, to_m: float, wide_m: float = WIDE_M)
     return np.log1p(counts).reshape(size)
 
 
-def scores_of(window: Floats, stretch: Floats, skipped: int, places: int) -> Floats:
-    """Cosines (along, left) of a window (S, L, U) at so many places of a stretch, after those that are skipped."""
-    mean, deviation = stretch.mean(axis=0), stretch.std(axis=0) + QUIET
-    usual = (stretch - mean) / deviation
+def scores_of(
+    window: Floats,
+    stretch: Stretch,
+    skipped: int,
+    places: int,
+    lefts: Sequence[int] | None = None,
+    least_energy: float = 0.0,
+) -> Floats:
+    """Cosines (along, left) of a window (S, L, U) at so many places of a stretch, after those that are skipped.
+
+    lefts: cells to the left by which it is tried, of 2 SIDEWAYS_M and one more; all if None. least_energy: that a place
+    counts as having, as a share of the median: of one with less, or beyond the drive's end, little is known.
+    """
     size, wide = len(window), window.shape[1]
-    usual = usual[skipped : skipped + places + size - 1]
-    found = np.zeros((places, stretch.shape[1] - wide + 1))
-    for left in range(found.shape[1]):
+    usual = stretch.cells[skipped : skipped + places + size - 1]
+    lefts = range(stretch.cells.shape[1] - wide + 1) if lefts is None else lefts
+    found = np.zeros((places, len(lefts)))
+    for column, left in enumerate(lefts):
         side = slice(left, left + wide)
-        own = ((window - mean[side]) / deviation[side]).reshape(size, -1)
+        own = ((window - stretch.mean[side]) / stretch.deviation[side]).reshape(size, -1).astype(usual.dtype)
         there = usual[:, side].reshape(len(usual), -1)
         products = own @ there.T
         energy = np.concatenate([[0.0], np.square(there).sum(axis=1).cumsum()])
+        energy = energy[size:] - energy[:-size]
         sums = sum(products[row, row : row + places] for row in range(size))
-        found[:, left] = sums / np.sqrt(np.square(own).sum() * (energy[size:] - energy[:-size]) + 1e-9)
+        least = least_energy * float(np.median(energy))
+        found[:, column] = sums / np.sqrt(np.square(own).sum() * np.maximum(energy, least) + 1e-9)
     return found
 
 

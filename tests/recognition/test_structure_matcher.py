@@ -38,7 +38,8 @@ def driven(
         place = int(np.abs(truth.route_m - truth.along_m[index] - BELIEVED_OFF_M).argmin())
         believed = PlaceMatch(place, place, "forward", "swapped", 1.0, 0.0, 1.0, accepted=accepted)
         ground_m = float(truth.ground_m[index, 0]), float(truth.ground_m[index, 1])
-        seen = matcher.push(image, ground_m if is_moved else None, believed)
+        matcher.add(image, ground_m if is_moved else None)
+        seen = matcher.match(believed)
         found |= {} if seen is None else {index: seen}
     return found
 

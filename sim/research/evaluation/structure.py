@@ -87,8 +87,8 @@ def _errors(maps: MapSet, feed: Feed) -> NDArray[np.float64]:
         believed_m = truth.along_m[index] + rng.normal(0.0, BELIEVED_SIGMA_M)
         place = int(np.abs(truth.route_m - believed_m).argmin())
         believed = PlaceMatch(place, place, truth.way, order, 1.0, 0.0, 1.0, accepted=True)
-        seen = matcher.push(images.read(index), (truth.ground_m[index, 0], truth.ground_m[index, 1]), believed)
-        if seen is not None:
+        matcher.add(images.read(index), (truth.ground_m[index, 0], truth.ground_m[index, 1]))
+        if (seen := matcher.match(believed)) is not None:
             found[int(truth.driven_m[index] / APART_M)] = truth.off(index, seen)
     images.close()
     return found
