@@ -123,7 +123,7 @@ def test_the_truth_of_two_recordings_and_what_lacks_it(folders: tuple[Path, Path
 
 def test_a_map_and_one_picture_after_another(folders: tuple[Path, Path], tmp_path: Path) -> None:
     built = lookback.Map.build(folders[0], tmp_path / "map")
-    with pytest.raises(lookback.Error, match="already exists; remove it, or name another folder$"):
+    with pytest.raises(lookback.Error, match=r"already exists; remove it, or name another folder$"):
         lookback.Map.build(folders[0], tmp_path / "map")
     again = lookback.Map.open(tmp_path / "map")
     assert len(again) == PLACES and again.descriptors.shape[:2] == (PLACES, 2) and again.picture(3).ndim == 3
