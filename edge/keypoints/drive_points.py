@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.mount import Mount, mount_of_drive
-from edge.keypoints.points import FEWEST_ROWS, REACH_M, MapPoints, points_of
+from edge.keypoints.points import REACH_M, MapPoints, points_of
+from edge.keypoints.pose import FEWEST_POINTS
 from edge.keypoints.view_geometry import CameraModel
 
 MOST_ROWS = 12
@@ -27,6 +28,8 @@ apart, 23 have points in place of 10; of some 8 m apart 24 in place of 17."""
 SHOWN_FROM_M = REACH_M / SPARSE_ROWS
 """Median distance of rows from which pictures show how two of them stand to each other, where headings are the course
 of positions: of 27 pictures of a walk, by a phone's GPS, 26 have points in place of 0."""
+SHOWN_SIGMAS = np.array([0.3, 2.0, np.radians(1.0), np.radians(1.0)])
+"""Of such rows, as ROW_SIGMAS: how far they moved is known as well as positions are."""
 FEWEST_SHOWN, AHEAD, EPIPOLAR_PX, CERTAINTY = 20, 0.8, 1.5, 0.999
 """Matches that agree with an essential matrix, the part of its direction that leads ahead, and how it is searched."""
 WINDOW = 64
@@ -49,7 +52,8 @@ def points_of_drive(
     keypoints_of: of a row. route_m: driven so far, and heading: of the vehicle, clockwise in radians, each (N,). Where
     either is NaN, no distance is known. faces_back: the camera, which is a rear one. mount: as
     other rows of the drive have it. is_course: the headings are those of positions, which says little between sparse
-    rows; their pictures then say how they turn and where they move, and positions only how far.
+    rows; where few points agree with that, their pictures say how they turn and where they move, and
+    positions only how far.
     """
     kept = lru_cache(WINDOW)(keypoints_of)
     matched = lru_cache(WINDOW * MOST_ROWS)(
@@ -67,9 +71,10 @@ def points_of_drive(
             found[at, mine] = camera.directions(kept(other).xy[theirs])
         seen_by = _beside(row, near, east_m, north_m, heading)
         own = camera.directions(kept(row).xy)
-        if is_shown:
-            found, seen_by = _shown(own, found, seen_by, EPIPOLAR_PX / camera.network_focal_px)
-        points, of_row = points_of(own, found, seen_by, camera, mount, 2 if is_shown else FEWEST_ROWS)
+        points, of_row = points_of(own, found, seen_by, camera, mount)
+        if is_shown and points.is_known.sum() < FEWEST_POINTS:
+            by_pictures = _shown(own, found, seen_by, EPIPOLAR_PX / camera.network_focal_px)
+            points, of_row = points_of(own, *by_pictures, camera, mount, SHOWN_SIGMAS, fewest=2)
         mount = mount_of_drive([of_row], mount)
         yield points, of_row
 
