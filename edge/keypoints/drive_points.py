@@ -93,9 +93,9 @@ def _shown(
         directions[:] = np.nan
         if len(both) < FEWEST_SHOWN:
             continue
-        found, agree = cv2.findEssentialMat(one, other, np.eye(3), cv2.RANSAC, CERTAINTY, limit)
-        agree = np.zeros(len(both), bool) if found is None or found.shape != (3, 3) else agree.ravel() > 0
-        if agree.sum() < FEWEST_SHOWN:
+        found, inliers = cv2.findEssentialMat(one, other, np.eye(3), cv2.RANSAC, CERTAINTY, limit)
+        agree = np.ravel(inliers) > 0
+        if found is None or found.shape != (3, 3) or agree.sum() < FEWEST_SHOWN:
             continue
         *turns, moved = cv2.decomposeEssentialMat(found)
         turn = max(turns, key=np.trace)  # the other one is upside down

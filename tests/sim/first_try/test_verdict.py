@@ -53,7 +53,7 @@ def test_frames_that_warm_up_again_count_after_the_start() -> None:
     """As between single pictures that keypoints recognize, which said 100 %."""
     tried = a_try(range(20, 100, 2), range(100))
     states = ["on the map" if row in range(20, 100, 2) else "warming up" for row in range(FRAMES)]
-    found = verdict(replace(tried, seen=replace(tried.seen, states=states)))
+    found = verdict(replace(tried, seen=replace(tried.seen, states=states)))  # type: ignore[arg-type]
     assert found.headline == "Recognized in part: 40 % of the frames, 50 % after the start"
 
 
