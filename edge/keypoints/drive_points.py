@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.mount import Mount, mount_of_drive
 from edge.keypoints.points import REACH_M, MapPoints, points_of
+from edge.keypoints.pose import FEWEST_POINTS
 from edge.keypoints.view_geometry import CameraModel
 
 MOST_ROWS = 12
@@ -23,6 +25,13 @@ MOST_ROWS = 12
 SPARSE_ROWS, SPARSE_REACH_M = 4, 20.0
 """Where fewer rows are within REACH_M, so many of the nearest take part, up to this distance: of 27 pictures 4 to 11 m
 apart, 23 have points in place of 10; of some 8 m apart 24 in place of 17."""
+SHOWN_FROM_M = REACH_M / SPARSE_ROWS
+"""Median distance of rows from which pictures show how two of them stand to each other, where headings are the course
+of positions: of 27 pictures of a walk, by a phone's GPS, 26 have points in place of 0."""
+SHOWN_SIGMAS = np.array([0.3, 2.0, np.radians(1.0), np.radians(1.0)])
+"""Of such rows, as ROW_SIGMAS: how far they moved is known as well as positions are."""
+FEWEST_SHOWN, AHEAD, EPIPOLAR_PX, CERTAINTY = 20, 0.8, 1.5, 0.999
+"""Matches that agree with an essential matrix, the part of its direction that leads ahead, and how it is searched."""
 WINDOW = 64
 """Rows that are kept in memory."""
 
@@ -36,12 +45,15 @@ def points_of_drive(
     *,
     faces_back: bool = False,
     mount: Mount | None = None,
+    is_course: bool = False,
 ) -> Iterator[tuple[MapPoints, Mount]]:
     """What `points_of` has of some rows of a drive, one row after another.
 
     keypoints_of: of a row. route_m: driven so far, and heading: of the vehicle, clockwise in radians, each (N,). Where
     either is NaN, no distance is known. faces_back: the camera, which is a rear one. mount: as
-    other rows of the drive have it.
+    other rows of the drive have it. is_course: the headings are those of positions, which says little between sparse
+    rows; where few points agree with that, their pictures say how they turn and where they move, and
+    positions only how far.
     """
     kept = lru_cache(WINDOW)(keypoints_of)
     matched = lru_cache(WINDOW * MOST_ROWS)(
@@ -49,6 +61,7 @@ def points_of_drive(
     )
     east_m, north_m = reckoned(route_m, heading)
     heading = heading + np.pi * faces_back
+    is_shown = is_course and len(route_m) > 1 and bool(np.nanmedian(np.diff(route_m)) > SHOWN_FROM_M)
     for row in rows:
         near = _near(route_m, heading, row)
         found = np.full((len(near), len(kept(row)), 2), np.nan)
@@ -57,9 +70,43 @@ def points_of_drive(
             mine, theirs = (first, second) if row < other else (second, first)
             found[at, mine] = camera.directions(kept(other).xy[theirs])
         seen_by = _beside(row, near, east_m, north_m, heading)
-        points, of_row = points_of(camera.directions(kept(row).xy), found, seen_by, camera, mount)
+        own = camera.directions(kept(row).xy)
+        points, of_row = points_of(own, found, seen_by, camera, mount)
+        if is_shown and points.is_known.sum() < FEWEST_POINTS:
+            by_pictures = _shown(own, found, seen_by, EPIPOLAR_PX / camera.network_focal_px)
+            points, of_row = points_of(own, *by_pictures, camera, mount, SHOWN_SIGMAS, fewest=2)
         mount = mount_of_drive([of_row], mount)
         yield points, of_row
+
+
+def _shown(
+    own: NDArray[np.float64], matched: NDArray[np.float64], rows: NDArray[np.float64], limit: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matches and rows as `points_of` gets them, by an essential matrix each: turned as `own`, and where they moved.
+
+    Of matches further than `limit` from their epipolar lines, and of rows that are not seen so, nothing is left.
+    """
+    matched, rows = matched.copy(), rows.copy()
+    for directions, at in zip(matched, rows, strict=True):
+        both = np.flatnonzero(np.isfinite(directions).all(axis=-1))
+        one, other = own[both], directions[both].copy()
+        directions[:] = np.nan
+        if len(both) < FEWEST_SHOWN:
+            continue
+        found, inliers = cv2.findEssentialMat(one, other, np.eye(3), cv2.RANSAC, CERTAINTY, limit)
+        agree = np.ravel(inliers) > 0
+        if found is None or found.shape != (3, 3) or agree.sum() < FEWEST_SHOWN:
+            continue
+        *turns, moved = cv2.decomposeEssentialMat(found)
+        turn = max(turns, key=np.trace)  # the other one is upside down
+        ahead = -(turn.T @ moved).ravel()
+        if abs(ahead[2]) < AHEAD:
+            continue
+        ahead *= np.sign(ahead[2] * at[1]) * np.hypot(*at[:2])
+        at[:] = ahead[0], ahead[2], 0.0
+        rays = np.column_stack([other[agree], np.ones(agree.sum())]) @ turn
+        directions[both[agree]] = rays[:, :2] / rays[:, 2:]
+    return matched, rows
 
 
 def _near(route_m: NDArray[np.float64], heading: NDArray[np.float64], row: int) -> list[int]:

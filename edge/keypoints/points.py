@@ -67,6 +67,8 @@ def points_of(
     rows: NDArray[np.float64],
     camera: CameraModel,
     of_drive: Mount | None = None,
+    sigmas: NDArray[np.float64] = ROW_SIGMAS,
+    fewest: int = FEWEST_ROWS,
 ) -> tuple[MapPoints, Mount]:
     """The keypoints of a row with directions `own` (K, 2), by those of their matches (V, K, 2) in V rows, NaN: none.
 
@@ -74,13 +76,14 @@ def points_of(
     They are corrected by what they see (a bundle adjustment), since what a compass is off by from row to row would make
     distances wrong by a tenth for each degree. So is the frame: a camera that looks down by 3 degrees sees the way
     it moves above its middle. The points are in the frame of the camera as it is mounted; and how it is by this row.
-    of_drive: how it is mounted by other rows, from which the adjustment starts.
+    of_drive: how it is mounted by other rows, from which the adjustment starts. sigmas: as ROW_SIGMAS. fewest: rows
+    that see a point.
     """
     limit = MOST_OFF_PX / camera.network_focal_px
     mount = begun = (of_drive or unknown(ROW_SIGMA)).begun()
     raw = np.concatenate([own[np.newaxis], matched])
     matches = np.isfinite(raw).all(axis=-1)
-    tried = np.flatnonzero(matches.sum(axis=0) >= FEWEST_ROWS)
+    tried = np.flatnonzero(matches.sum(axis=0) >= fewest)
     places = np.column_stack([own, np.full(len(own), np.nan)])
     sigma = np.full(len(own), np.nan)
     if not tried.size:
@@ -92,12 +95,13 @@ def points_of(
     cameras, points = at.copy(), _started(seen, matches, at, limit)
     for wider in WIDER:
         kept = matches & _agree(points, seen, cameras, wider * limit)
-        kept &= kept.sum(axis=0) >= FEWEST_ROWS
-        step = _adjusted(points, cameras, at, seen, kept, PIXEL_SIGMA / camera.network_focal_px, KERNEL, mount, begun)
+        kept &= kept.sum(axis=0) >= fewest
+        pixel = PIXEL_SIGMA / camera.network_focal_px
+        step = _adjusted(points, cameras, at, sigmas, seen, kept, pixel, KERNEL, mount, begun)
         points, cameras, mount, variance = step
         seen = mount.leveled(raw)
     kept &= _agree(points, seen, cameras, limit)
-    known = kept[0] & (kept.sum(axis=0) >= FEWEST_ROWS) & (points[:, 2] > INVERSES[0] / 4)
+    known = kept[0] & (kept.sum(axis=0) >= fewest) & (points[:, 2] > INVERSES[0] / 4)
     mounted = MapPoints(points[known], np.sqrt(variance[known])).turned(mount.rotation)
     places[tried[known]], sigma[tried[known]] = mounted.places, mounted.sigma
     return MapPoints(places, sigma), mount
@@ -129,6 +133,7 @@ def _adjusted(
     points: NDArray[np.float64],
     cameras: NDArray[np.float64],
     at: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
     seen: NDArray[np.float64],
     kept: NDArray[np.bool_],
     pixel: float,
@@ -164,12 +169,12 @@ def _adjusted(
     of_cameras = own.transpose(0, 2, 1)
     information = np.zeros((4 * others + shared, 4 * others + shared))
     for row, block in enumerate(of_cameras @ own):
-        information[4 * row : 4 * row + 4, 4 * row : 4 * row + 4] = block + np.diag(ROW_SIGMAS**-2)
+        information[4 * row : 4 * row + 4, 4 * row : 4 * row + 4] = block + np.diag(sigmas**-2)
     information[:-shared, -shared:] = (of_cameras @ by_mount[1:].reshape(others, 2 * size, shared)).reshape(-1, shared)
     information[-shared:, :-shared] = information[:-shared, -shared:].T
     information[-shared:, -shared:] = all_mounted.T @ all_mounted + begun.information
     wanted = (of_cameras @ off[1:].reshape(others, 2 * size, 1)).ravel()
-    wanted += ((at - cameras)[1:, 0] / ROW_SIGMAS**2).ravel()
+    wanted += ((at - cameras)[1:, 0] / sigmas**2).ravel()
     wanted = np.concatenate([wanted, all_mounted.T @ off.ravel() + begun.information @ (begun.values - mount.values)])
     solved = (spread @ both).reshape(-1, len(information))
     across = both.reshape(solved.shape).T

@@ -109,8 +109,9 @@ class KeypointRows:
                 return keypoints_of(drive[row], key)
 
             of_drive = mount_of_drive(mount for mount in mounts.values() if mount is not None)
+            where, is_course = (own["route_m"], heading), segment.heading_is_course
             found = points_of_drive(
-                read, own["route_m"], heading, camera_of(key), rows, faces_back=faces_back, mount=of_drive
+                read, *where, camera_of(key), rows, faces_back=faces_back, mount=of_drive, is_course=is_course
             )
             for row, (points, mount) in zip(rows, found, strict=True):
                 put_points(drive[row], points)

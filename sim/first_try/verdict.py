@@ -98,9 +98,9 @@ class TryResult:
 
     @property
     def could_be_believed(self) -> Flags:
-        """(Q,): frames on the mapped road after the first sequence."""
+        """(Q,): frames on the mapped road from the first that is not warming up on."""
         warm: Flags = np.array([state != "warming up" for state in self.seen.states], dtype=bool)
-        return np.logical_and(self.is_on_map, warm)
+        return np.logical_and(self.is_on_map, np.maximum.accumulate(warm))
 
 
 def verdict(tried: TryResult) -> Verdict:

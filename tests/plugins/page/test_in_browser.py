@@ -147,11 +147,13 @@ def loads_draws_and_updates(config: Path, width: int, height: int, *, dark: bool
         driver.execute_script("document.getElementById('details').open = true")
         assert until(driver, DRAWN)
         until(driver, f"status.frames_used > {driver.execute_script('return status.frames_used')}")
-        until(driver, "status.state === 'on the map'")
-        assert "place" in text(driver, "answer")
-        until(driver, "document.getElementById('health').textContent.includes('up, udpin:')")
-        health = text(driver, "health")
-        assert "running" in health
+        until(
+            driver, "status.state === 'on the map' && document.getElementById('answer').textContent.includes('place')"
+        )
+        until(
+            driver,
+            "['up, udpin:', 'running'].every((one) => document.getElementById('health').textContent.includes(one))",
+        )
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width
         background = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
         assert (sum(map(int, background[4:-1].split(","))) < 200) == dark
@@ -174,9 +176,9 @@ def test_it_survives_a_restart_and_says_what_is_wrong(config: Path) -> None:
         with daemon(config):
             until(driver, f"document.getElementById('silent').hidden && status.started_unix_s > {first}")
             assert until(driver, "past.length > 0 && past.length <= status.frames_used")
-            until(driver, "status.state === 'degraded'")  # there is no autopilot
-            assert "link: no autopilot heard" in text(driver, "answer")
-            assert driver.find_element("id", "state").get_attribute("class") == "warn"
+            # There is no autopilot. The words change with each status.
+            until(driver, "document.getElementById('answer').textContent.includes('link: no autopilot heard')")
+            until(driver, "document.getElementById('state').className === 'warn'")
 
 
 def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:
@@ -188,9 +190,8 @@ def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:
     )
     with daemon(lost), browser(390, 844) as driver:
         driver.get(url_of(config))
-        until(driver, "status !== null && status.state === 'degraded'")
-        assert "/dev/no-such-camera: No such file" in text(driver, "answer")
-        assert driver.find_element("id", "state").get_attribute("class") == "bad"
+        until(driver, "document.getElementById('answer').textContent.includes('/dev/no-such-camera: No such file')")
+        until(driver, "document.getElementById('state').className === 'bad'")
         assert text(driver, "frame-words") == "no frame yet"
 
 

@@ -49,6 +49,14 @@ def test_a_good_drive_needs_no_advice() -> None:
     assert found.stretches == (FailureSpan(0, 15, "warming up: a place is searched from 16 frames on"),)
 
 
+def test_frames_that_warm_up_again_count_after_the_start() -> None:
+    """As between single pictures that keypoints recognize, which said 100 %."""
+    tried = a_try(range(20, 100, 2), range(100))
+    states = ["on the map" if row in range(20, 100, 2) else "warming up" for row in range(FRAMES)]
+    found = verdict(replace(tried, seen=replace(tried.seen, states=states)))  # type: ignore[arg-type]
+    assert found.headline == "Recognized in part: 40 % of the frames, 50 % after the start"
+
+
 def test_wrong_places_come_before_everything_else() -> None:
     found = verdict(a_try(range(20, 100), range(90)))
     assert found.headline == "Not to be trusted: 10 of 80 accepted places are wrong"
