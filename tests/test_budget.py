@@ -19,9 +19,9 @@ ROOMS = {
     "edge/feed": 500,
     "edge/health": 250,
     "edge/journal": 400,
-    "edge/keypoints": 825,
+    "edge/keypoints": 900,
     "edge/localization": 2900,
-    "edge/recognition": 1100,
+    "edge/recognition": 1200,
     "edge/reference_map": 1500,
     "edge/sequence": 1325,
     "edge/structure": 150,
@@ -55,7 +55,7 @@ ROOMS = {
     "sim/trial": 700,
     "sim/vehicle": 1275,
     "sim/world": 1750,
-    "tests": 36_700,
+    "tests": 36_750,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

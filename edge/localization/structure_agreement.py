@@ -25,10 +25,6 @@ class StructureAgreement:
     """
 
     def __init__(self) -> None:
-        self.clear()
-
-    def clear(self) -> None:
-        """No motion leads from those so far to the next one."""
         self._newest: tuple[StructureMeasurement, Vector] | None = None
         self._count = 0
         self._handed_m: Vector | None = None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import UNSET
@@ -38,8 +39,10 @@ from edge.localization.state import (
     Slot,
     Vector,
 )
-from edge.localization.structure_agreement import StructureAgreement
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
+
+if TYPE_CHECKING:
+    from edge.localization.structure_agreement import StructureAgreement
 
 STOOD_NS = 10_000_000_000
 """A vehicle without a new frame for so long may have been carried away: no sequence may have a frame from before that.
@@ -133,7 +136,7 @@ class Tracker:
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self._poses = FusedPoses()
-        self._structure = StructureAgreement()
+        self._structure: StructureAgreement | None = None
         self.cross_track: tuple[float, float] | None = None
         """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
@@ -155,7 +158,7 @@ class Tracker:
             return False
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
-            self._structure.clear()
+            self._structure = None
             self._lose_position()
         has_stood = before is None or frame.stamp_ns - before.stamp_ns > STOOD_NS
         if has_stood or frame.missed > self._georeferencer.length // 2:
@@ -358,6 +361,10 @@ class Tracker:
         seen, at = self._georeferencer.structure_measurement(match), self._at
         if seen is None or at is None or at.motion is None:
             return
+        if self._structure is None:
+            from edge.localization.structure_agreement import StructureAgreement  # which few vehicles need
+
+            self._structure = StructureAgreement()
         line = self._georeferencer.of(match)  # also where no sequence ends in this frame
         if line is None or not self._structure.agrees(seen, _vector(at.motion), self.bank.right):
             return
@@ -524,7 +531,7 @@ class Tracker:
         if origin is None or float(np.hypot(*shift_m)) < FAR_M:
             return
         self._georeferencer.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
-        self._structure.clear()
+        self._structure = None
         self.bank.all.mean[..., POSITION] -= shift_m
 
     def _fix(
