@@ -5,8 +5,9 @@
 `pose_measurement` what one picture says of it; `filter` is the Kalman filter of the `state`, which is all that is
 unknown, `measurements` what each kind of measurement says of it, and `hypotheses` one such filter for each thing that
 may be wrong; `tracker` follows the vehicle with them, `structure_agreement` says which structure counts, `fused_poses`
-hands on keypoint poses, and `gps_monitor` says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `gyro_heading` how far a filter has turned its
-heading, and `odometer_calibration` says what GPS has shown of the wheels.
+hands on keypoint poses, and `gps_monitor` says what follows for GPS; `dead_reckoning` integrates the vehicle's motion,
+`gyro_heading` how far a filter has turned its heading, and `odometer_calibration` says what GPS has shown of the
+wheels.
 `decide`, which is to be read first, says whether a position is published: by its rules, which rest on the
 probability of another place and on how far off it may be (`integrity`): by the `evidence` observed, and by dead
 reckoning since the last `position_aiding`.
