@@ -37,7 +37,7 @@ SEARCH_M = 20.0
 APART_M = 20.0
 """Driven between two matches."""
 VOTES_APART_M = 4.0
-"""Driven between two votes, which takes TODO ms each."""
+"""Driven between two votes: one takes as long as the points of a frame."""
 UNIQUE, SHARPNESS, CLEAR_MARGIN = 0.05, 0.1, 1.0
 """What a vote by structure says, in terms of one by a sequence: uniqueness over 1 a standard deviation of margin,
 and from which margin on the newest frame supports the place. On the map .9 of the margins are 1 to 6, elsewhere 0 to 2.

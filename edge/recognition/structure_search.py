@@ -24,8 +24,6 @@ MOST_PLACES, FEWEST_M = 2500, 100.0
 nothing shows what is usual."""
 READ_AT_ONCE = 40
 """Places with a frame until all are read: 0.5 ms each."""
-LANES = (-1, 0, 1)
-"""Cells to the left of the lane that [rig] has."""
 ELSEWHERE_M = 30.0
 PARTIAL = 0.5
 """Share of the usual energy that a window counts as having where it is partly beyond its drive."""
@@ -47,7 +45,6 @@ class _Drive(NamedTuple):
 
     number: int
     direction: Direction
-    left: int
     first_m: float
     cells: Stretch
 
@@ -57,7 +54,7 @@ class StructureSearch:
 
     def __init__(self, map_set: MapSet, config: Config, points_of: Callable[[int], Floats]) -> None:
         """points_of: a place's, along its drive, to the left of it, and up (n, 3)."""
-        self._points_of, self._rig = points_of, config.rig
+        self._points_of = points_of
         index, self._unread = map_set.index, list[tuple[int, Direction, range]]()
         for number, (first, end) in enumerate(index.segments):
             direction: Direction = "reverse" if index.view(number) == config.camera.view else "forward"
@@ -83,10 +80,7 @@ class StructureSearch:
             cells = Stretch.of(cells_of(np.concatenate(self._read), first_m, last_m, WIDE_M + SIDEWAYS_M))
             beyond = ((round(LONGEST_M / 2), round(LONGEST_M / 2)), (0, 0), (0, 0))
             padded = cells._replace(cells=np.pad(cells.cells.astype(np.float32), beyond))
-            sign = 1 if direction == "forward" else -1
-            lane_m = self._rig.left_forward_m if sign > 0 else self._rig.left_reverse_m
-            left = round((SIDEWAYS_M + sign * lane_m) / CELL_M)
-            self._drives.append(_Drive(number, direction, left, float(first_m), padded))
+            self._drives.append(_Drive(number, direction, float(first_m), padded))
             self._unread, self._read = self._unread[1:], []
         return False
 
@@ -105,11 +99,10 @@ class StructureSearch:
         return BestFit(drive.number, drive.direction, drive.first_m + at * CELL_M, margin)
 
     def _scores(self, points: Floats, window_m: float, drive: _Drive) -> Floats:
-        """The best cosine (n,) of the lanes, with the middle of the window at each meter of a drive."""
+        """The best cosine (n,) of those sideways, with the middle of the window at each meter of a drive."""
         sides = (1.0, 1.0, 1.0) if drive.direction == "forward" else (-1.0, -1.0, 1.0)
         window = cells_of(points * sides, -window_m / 2, window_m / 2)
         beyond = round(LONGEST_M / 2)
         places = len(drive.cells.cells) - 2 * beyond
-        lefts = [left for lane in LANES if 0 <= (left := drive.left + lane) <= round(2 * SIDEWAYS_M / CELL_M)]
-        scores = scores_of(window, drive.cells, beyond - len(window) // 2, places, lefts, PARTIAL)
+        scores = scores_of(window, drive.cells, beyond - len(window) // 2, places, PARTIAL)
         return np.asarray(scores.max(axis=1))

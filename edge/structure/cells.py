@@ -6,7 +6,6 @@ Cells are (along, left, up). A match is the greatest cosine of what is more and 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -90,24 +89,15 @@ def cells_of(points: Floats, from_m: float, to_m: float, wide_m: float = WIDE_M)
     return np.log1p(counts).reshape(size)
 
 
-def scores_of(
-    window: Floats,
-    stretch: Stretch,
-    skipped: int,
-    places: int,
-    lefts: Sequence[int] | None = None,
-    least_energy: float = 0.0,
-) -> Floats:
+def scores_of(window: Floats, stretch: Stretch, skipped: int, places: int, least_energy: float = 0.0) -> Floats:
     """Cosines (along, left) of a window (S, L, U) at so many places of a stretch, after those that are skipped.
 
-    lefts: cells to the left by which it is tried, of 2 SIDEWAYS_M and one more; all if None. least_energy: that a place
-    counts as having, as a share of the median: of one with less, or beyond the drive's end, little is known.
+    least_energy: that a place counts as having, as a share of the median: of one with less little is known.
     """
     size, wide = len(window), window.shape[1]
     usual = stretch.cells[skipped : skipped + places + size - 1]
-    lefts = range(stretch.cells.shape[1] - wide + 1) if lefts is None else lefts
-    found = np.zeros((places, len(lefts)))
-    for column, left in enumerate(lefts):
+    found = np.zeros((places, stretch.cells.shape[1] - wide + 1))
+    for left in range(found.shape[1]):
         side = slice(left, left + wide)
         own = ((window - stretch.mean[side]) / stretch.deviation[side]).reshape(size, -1).astype(usual.dtype)
         there = usual[:, side].reshape(len(usual), -1)
@@ -116,7 +106,7 @@ def scores_of(
         energy = energy[size:] - energy[:-size]
         sums = sum(products[row, row : row + places] for row in range(size))
         least = least_energy * float(np.median(energy))
-        found[:, column] = sums / np.sqrt(np.square(own).sum() * np.maximum(energy, least) + 1e-9)
+        found[:, left] = sums / np.sqrt(np.square(own).sum() * np.maximum(energy, least) + 1e-9)
     return found
 
 
