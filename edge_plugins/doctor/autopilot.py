@@ -93,10 +93,11 @@ def ground_station(config: TelemetryConfig) -> AutopilotConnection:
 
 
 def poll_until(link: AutopilotConnection, is_done: Callable[[], bool], seconds: float) -> None:
-    """Poll until something is done, or at most so long."""
-    until_s = time.monotonic() + seconds
+    """Poll until something is done, or at most so long; longer where a busy computer makes turns longer."""
     link.poll()
-    while not is_done() and time.monotonic() < until_s:
+    for _ in range(round(seconds / TURN_S)):
+        if is_done():
+            break
         time.sleep(TURN_S)
         link.poll()
 

@@ -63,7 +63,7 @@ class FoundCamera:
 
 def measure_camera(feed: Feed) -> FoundCamera:
     """The camera of a recorded drive. FeedError, in one line, where it does not show it; ModelError."""
-    distances_m, frames = driven_m(feed), feed.path / "frames.csv"
+    distances_m, frames = driven_m(feed), feed.path / ("" if feed.pictures else "frames.csv")
     if feed.header.lens == "fisheye":
         raise FeedError(f"{feed.path}: a fisheye has four factors, which a drive does not show; use a chessboard")
     if distances_m is None:

@@ -22,7 +22,7 @@ from sim.evaluation.figures import to_png
 from sim.evaluation.matched_points import side_by_side
 from sim.evaluation.metrics import precision_recall
 from sim.evaluation.recognition import Recognition, RecognitionScore
-from sim.first_try.verdict import TryResult, Verdict
+from sim.first_try.verdict import SHORT_FRAMES, TryResult, Verdict
 from sim.first_try.with_keypoints import WithKeypoints, errors_words, first_words
 from sim.traverse import distances_m, driven_m
 
@@ -117,7 +117,7 @@ def _where(tried: TryResult, found: Verdict) -> report.ReportSection:
         note = "A line that rises is the same way, one that falls is the way back; none is a road that differs"
         matrix = to_png(figures.cost_matrix(seen.costs, places, seen.believed))
         drawn.append(report.Figure("costs", "Each frame against each place", matrix, note))
-    words, tables = ("", [table]) if listed else ("Recognized everywhere.", [])
+    words, tables = ("", [table]) if listed else (f"No stretch of {SHORT_FRAMES} frames is missed.", [])
     return report.ReportSection("Where", words, tables=tables, figures=drawn)
 
 

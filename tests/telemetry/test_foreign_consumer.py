@@ -35,6 +35,7 @@ from edge.telemetry.link_protocol import STREAMS_HZ
 from edge_plugins.home.mission_transfer import MissionTransfer
 from edge_plugins.home.route import MissionItem
 from sim.vehicle.pty_link import open_pty
+from tests.common import PATIENCE_S
 from tests.telemetry.rig import ToldEstimator
 from tests.udp_port import free_port
 
@@ -103,7 +104,7 @@ class Setting:
         limits = self.ours.position_due()
         return limits is not None and self.ours.send_position(self.drive.fix(now_ns, limits))
 
-    def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> None:
+    def until(self, condition: Callable[[], Any], seconds: float = PATIENCE_S) -> None:
         self.pump_until(condition, seconds, self.ours.poll)
 
     def pump_until(
@@ -256,9 +257,9 @@ def test_the_daemon_as_its_own_process_is_seen(
     daemon = subprocess.Popen([sys.executable, "-m", "edge", "run", str(tmp_path / "lookback.toml")])
     try:
         foreigner = setting.foreigner
-        setting.pump_until(foreigner.subscribed, 90.0)
+        setting.pump_until(foreigner.subscribed, PATIENCE_S)
         setting.pump_until(
-            lambda: any(text["text"].startswith("Place ") for text in foreigner.read("STATUSTEXT")), 90.0
+            lambda: any(text["text"].startswith("Place ") for text in foreigner.read("STATUSTEXT")), PATIENCE_S
         )
         assert foreigner.read("HEARTBEAT")[-1]["component"] == 191
     finally:
@@ -306,7 +307,7 @@ def test_a_mission_of_ours_arrives_at_mavsdks_autopilot() -> None:
     server.subscribe_incoming_mission(lambda result, plan, _: arrived.put((result, plan)))
     items = [MissionItem(16, 3, (0.0, 0.0, 0.0, None), -27.4772 + row / 1e4, 153.0283, 0.0) for row in range(6)]
     transfer, codec = MissionTransfer(items, 1, first_is_home=False), MavlinkCodec(1, 191)
-    link, end_s = open_link(f"udp:127.0.0.1:{port}"), time.monotonic() + 60.0
+    link, end_s = open_link(f"udp:127.0.0.1:{port}"), time.monotonic() + PATIENCE_S
     heartbeat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
     messages = [heartbeat, *transfer.start(time.monotonic_ns())]
     with closing(link):

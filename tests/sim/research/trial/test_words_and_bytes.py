@@ -6,6 +6,7 @@ import math
 import re
 from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
@@ -23,6 +24,7 @@ from edge.telemetry.encoders import CARRIERS, EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.steering import CONFIRMED_NS, GpsUse, SteeredBy, Steering
 from edge_plugins.page.metrics import _link_metrics
 from sim.journal import records_of
+from sim.research.trial import replayed_drive
 from sim.research.trial.recorded_drive import WE, LinkFrame, read_drive
 from sim.research.trial.replayed_drive import Playback, replay
 from sim.trial.run import JOURNAL
@@ -95,10 +97,15 @@ class Reader:
     "name",
     [pytest.param(SHORT, marks=pytest.mark.long), *(pytest.param(one, marks=pytest.mark.soak) for one in DRIVES)],
 )
-def test_what_people_read_is_what_the_autopilot_heard(name: str, shared: Path, tmp_path: Path) -> None:
+def test_what_people_read_is_what_the_autopilot_heard(
+    name: str, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if not (shared / name).is_dir():
         pytest.skip(f"needs the recorded drive {shared / name}")
     drive = read_drive(shared / name)
+    if name == SHORT:  # 204 poses in place of 223, and each state; 37 s of a processor in place of 93
+        monkeypatch.setattr(replayed_drive, "MOST_OF_PLACE", 80)
+        drive = replace(drive, runs=[run._replace(exposures_s=run.exposures_s[::2]) for run in drive.runs])
     reader = Reader(drive.link)
     with closing(RoadLibrary(Network.load(Path(FIRST_NETWORK)), tmp_path / "views")) as library:
         heard = replay(drive, drive.used, tmp_path / "now", library, keypoints=True, watch=reader)
