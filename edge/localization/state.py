@@ -44,9 +44,9 @@ TURNED_RAD, BIAS_RADPS = math.radians(0.05), math.radians(0.004)
 """By how much a heading by gyros and their bias change in a root second. On the same drives such headings are 1.1 to
 1.8 degrees from a constant bias within 240 s."""
 AGE_SIGMA_S, AGE_S = 0.08, 600.0
-"""One standard deviation of by how much pictures are older than they say, where nobody has measured it, and in which
-it changes: judgments. Bends show it to 0.03 s. With stamps 0.5 s off at 8 m/s, and 0.3 s at 15 m/s, positions were 4.4
-sigma off without it, and are 3.7 with it; with right ones their sigma is 3 % larger."""
+"""One standard deviation of by how much pictures are older than they say, where nobody has measured it, and in which it
+changes: judgments. Bends show it to 0.03 s. With stamps 0.5 s off at 8 m/s, and 0.3 s at 15 m/s, positions were 4.4
+sigma off without it, and are 3.7 with it; with right ones their sigma is 2 to 4 % larger."""
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 

@@ -56,7 +56,8 @@ BESIDE_M, DRIVES = 8.0, 3
 NEAR_SIGMAS = 2.0
 """Of a position by GPS, by which a lane may be further from it than BESIDE_M."""
 ELSEWHERE_EVERY = 4
-"""Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere."""
+"""Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere, and
+the first time the next one as well: it may have been carried."""
 
 
 Image = NDArray[np.uint8]
@@ -108,6 +109,8 @@ class KeyframeMatcher:
         self._seen_m = -math.inf  # driven at the newest match
         self._is_opposed = False  # to the views at the place that is believed
         self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was verified
+        self.was_carried = False
+        """Whether keyframe matches believe another place than where the vehicle is reckoned, and none shows that."""
 
     @property
     def correspondences(self) -> Correspondences | None:
@@ -144,7 +147,14 @@ class KeyframeMatcher:
         self._newest = (seen, vote) if seen and vote else None
         self._kept.add(vote)
         self._alike.append([self._vote_of(one, driven_m, uncertain_m) for one in self.verification.alike])
-        self._in_vain, self._seen_m = (self._in_vain + 1, self._seen_m) if seen is None else (0, driven_m)
+        self._seen_m = self._seen_m if vote is None else driven_m
+        if vote is None:
+            self._in_vain += 1
+        elif middles or not self._is_elsewhere(vote, driven_m):
+            self._in_vain *= vote.odds * ALONE < 1  # a faint one shows little
+        else:  # the next frame is verified by places anywhere as well
+            belief = self._kept.belief(driven_m, self._least, self._drives.positions_m)
+            self.was_carried = belief is not None and belief.is_believed
 
     def answer(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
@@ -195,6 +205,15 @@ class KeyframeMatcher:
         confidence = odds / (1 + odds + against)
         return replace(votes, confidence=confidence, is_believed=confidence >= self._least)
 
+    def _is_elsewhere(self, vote: KeyframeVote, driven_m: float) -> bool:
+        """Whether a vote is for another place than that of the map where the vehicle is reckoned to be."""
+        if self._reckoned is None:
+            return False
+        belief, at_m, _ = self._reckoned
+        there = replace(belief, along_m=belief.along_m + sign_of(belief.direction) * (driven_m - at_m))
+        one = PlaceBelief(vote.drive, vote.along_m, vote.direction, 0.0, is_believed=False)
+        return self._is_mapped(there) and not self._is_one_place(one, there, RECKONED_M)
+
     def _is_mapped(self, belief: PlaceBelief) -> bool:
         """Whether a place lies so near that the vehicle may have seen it, not past the end of its drive or in a gap."""
         nearest_m = self._drives.along_m(self._drives.nearest(belief.drive, belief.along_m))
@@ -224,7 +243,7 @@ class KeyframeMatcher:
 
     def _middles(self, course_rad: float | None, driven_m: float, uncertain_m: float) -> list[int]:
         """The middles of the local maps to look at; none where the vehicle is not reckoned, or may be elsewhere."""
-        if self._reckoned is None or (self._in_vain + 1) % ELSEWHERE_EVERY == 0:
+        if self._reckoned is None or self._in_vain == ELSEWHERE_EVERY or (self._in_vain + 1) % ELSEWHERE_EVERY == 0:
             return []
         belief, at_m, then_m = self._reckoned
         sigma_m = abs(uncertain_m - then_m)

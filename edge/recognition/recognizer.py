@@ -158,6 +158,10 @@ class PlaceRecognizer:
         self._used.newest, self._used.unmoved = frame, 0
         self.is_in_line = travel.distance_m is not None or not self.matcher.needs_odometer
         match = self.matcher.push(raw, travel, image)
+        if self.matcher.was_carried:
+            self.was_carried = True
+            self.matcher.reset()
+            match = None
         self._verifications_left = VERIFICATIONS
         self._verified = None if match is not None and match.accepted else (frame, frame)
         if match is None:

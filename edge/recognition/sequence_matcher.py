@@ -227,6 +227,11 @@ class SequenceMatcher:
             self._stopwatch("keypoints")
 
     @property
+    def was_carried(self) -> bool:
+        """See `KeyframeMatcher`; until the next reset."""
+        return self._keyframes is not None and self._keyframes.was_carried
+
+    @property
     def may_verify(self) -> bool:
         """Whether the maps have keypoints that compare with those of a picture."""
         return self._keyframes is not None and self._keyframes.verification.is_possible

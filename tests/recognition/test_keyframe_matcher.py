@@ -271,6 +271,25 @@ def test_where_it_is_reckoned_every_frame_is_verified_by_the_drives_beside_as_we
         assert network.verified >= 55
 
 
+@pytest.mark.parametrize("carried", [0, 12, 15])
+def test_a_vehicle_that_is_carried_while_its_wheels_roll_is_noticed_within_15_m(
+    maps: Path, grid: Network, carried: int
+) -> None:
+    """By 24 and 30 m: before, it was believed to be where its wheels had it for 40 m and more."""
+    drive, recognizer, noticed = Film("home_night", 20), opened(maps / "street", grid), []
+    first_m, last_m = (drive.rows[one].distance_m or 0.0 for one in (39, 39 + carried))
+    for number in [*range(40), *range(40 + carried, 100)]:
+        heading_deg, distance_m = drive.rows[number].heading_deg, drive.rows[number].distance_m or 0.0
+        assert heading_deg is not None
+        counted_m = distance_m - (last_m - first_m if number >= 40 else 0.0)
+        travel = MotionPrior(counted_m, course_rad=math.radians(heading_deg))
+        recognizer.observe(drive.images[number], number * S, travel)
+        noticed += [counted_m - first_m] if recognizer.was_carried else []
+    assert len(noticed) == bool(carried), "a gap of the map is none"
+    assert all(0 < after_m <= 15.0 for after_m in noticed)
+    assert recognizer.state == "on the map"
+
+
 def test_a_position_by_gps_is_a_place_to_try_as_far_as_its_sigma_goes(maps: Path) -> None:
     map_set, drive = MapSet.of(open_map(maps / "street")), Film("home_night", 60)
     row = drive.rows[0]
