@@ -212,14 +212,14 @@ def golden_run(make_once: MakeOnce, network: MemoizingNetwork) -> Callable[[Path
 
 @pytest.fixture(scope="session")
 def make_street(
-    network: MemoizingNetwork, write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
+    grid: MemoizingNetwork, write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Path]:
-    """Makes a folder with the `feed` of a drive along the street, and the `map` made of it."""
+    """Makes a folder with the `feed` of a drive along the street, and the `map` made of it by the network `grid`."""
 
     def make(frames: range = range(80), *, period_ms: int = 50, sampling: SamplingConfig | None = None) -> Path:
         folder = tmp_path_factory.mktemp("street")
         feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms))
-        build_map([feed], folder / "map", DescriptorConfig(), sampling or SamplingConfig(), network=network)
+        build_map([feed], folder / "map", DescriptorConfig(FIRST_NETWORK), sampling or SamplingConfig(), network=grid)
         return folder
 
     return make

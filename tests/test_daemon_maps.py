@@ -110,7 +110,7 @@ def test_a_slow_disk_holds_up_checksums_and_not_the_loop(street: Path) -> None:
 
 
 def test_a_map_that_is_cut_off_while_in_use_is_excluded_and_the_daemon_goes_on(
-    street: Path, network: Network, tmp_path: Path
+    street: Path, grid: Network, tmp_path: Path
 ) -> None:
     for name in ("a", "b"):
         shutil.copytree(street / "map", tmp_path / "maps" / name)
@@ -124,7 +124,7 @@ def test_a_map_that_is_cut_off_while_in_use_is_excluded_and_the_daemon_goes_on(
         plugins={"page": PageConfig(port=0)},
     )
     with ExitStack() as opened:
-        parts = OpenedParts(config, opened, lambda: now_ns, frames=frames, network=network)
+        parts = OpenedParts(config, opened, lambda: now_ns, frames=frames, network=grid)
         daemon = Daemon(parts)
         for index in range(FRAMES):
             if index == FRAMES // 2:
@@ -141,7 +141,7 @@ def test_a_map_that_is_cut_off_while_in_use_is_excluded_and_the_daemon_goes_on(
 
 
 @pytest.fixture(scope="module", params=["one map", "tiles"])
-def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def long_map(request: pytest.FixtureRequest, grid: Network, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """12 km of places that look like nothing, around the place where the simulated autopilot stands."""
     path = tmp_path_factory.mktemp("long") / "map"
     rng = np.random.default_rng(0)
@@ -149,7 +149,7 @@ def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory:
         Place(row, ORIGIN_LAT_DEG + (row - PLACES / 2) * APART_M / 110_800, ORIGIN_LON_DEG, route_m=row * APART_M)
         for row in range(PLACES)
     ]
-    long = map_of(path, rng.random((PLACES, 2, 4096), dtype=np.float32), places, model=model_key(network))
+    long = map_of(path, rng.random((PLACES, 2, grid.info.dimensions), dtype=np.float32), places, model=model_key(grid))
     if request.param == "tiles":
         split_map(long, path.with_name("tiles"), 64)
         return path.with_name("tiles")
@@ -177,16 +177,16 @@ def test_a_large_map_is_searched_where_the_autopilot_says(
 
 
 @pytest.fixture
-def elsewhere(network: Network, tmp_path: Path) -> Path:
+def elsewhere(grid: Network, tmp_path: Path) -> Path:
     raw, places = (
-        np.random.default_rng(0).random((60, 2, 4096)),
+        np.random.default_rng(0).random((60, 2, grid.info.dimensions)),
         [Place(row, 0.0, 0.0, route_m=2.0 * row) for row in range(60)],
     )
-    return map_of(tmp_path / "maps", raw, places, model=model_key(network)).path
+    return map_of(tmp_path / "maps", raw, places, model=model_key(grid)).path
 
 
 def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(
-    street: Path, elsewhere: Path, network: Network, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    street: Path, elsewhere: Path, grid: Network, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     now_ns, images = 10**12, FeedImages(read_feed(street / "feed"))
     frames = ScriptedFrames(lambda: now_ns)
@@ -200,7 +200,7 @@ def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(
     )
 
     with ExitStack() as parts:
-        daemon = Daemon(OpenedParts(config, parts, lambda: now_ns, frames=frames, network=network))
+        daemon = Daemon(OpenedParts(config, parts, lambda: now_ns, frames=frames, network=grid))
 
         def drive(first: int, last: int) -> int:
             nonlocal now_ns

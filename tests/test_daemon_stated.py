@@ -26,7 +26,7 @@ FRAMES, MPS = 80, 10.0
 
 
 @pytest.fixture
-def drive(make_street: Callable[..., Path], network: Network, tmp_path: Path) -> Any:
+def drive(make_street: Callable[..., Path], grid: Network, tmp_path: Path) -> Any:
     """Due north at 10 m/s without GPS, a place every 2 m; one segment of the map, and the usual risk."""
 
     street, journal = make_street(range(FRAMES), period_ms=200), tmp_path / "events.jsonl"
@@ -46,7 +46,7 @@ def drive(make_street: Callable[..., Path], network: Network, tmp_path: Path) ->
 
     def driven(off_m: float | None, sigma_m: float = 20.0, command: str = "int") -> Any:
         with ExitStack() as parts:
-            bench = DaemonRig(config, parts, network, MPS, ScriptedFrames)
+            bench = DaemonRig(config, parts, grid, MPS, ScriptedFrames)
             for frame in range(FRAMES - 1):
                 if frame == 20 and off_m is not None:
                     at = moved(*begins, 0.0, MPS * 0.2 * frame + off_m)

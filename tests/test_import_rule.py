@@ -240,7 +240,7 @@ REPORT_LINES_MOST = 19_180
 vehicle follows, or that is jammed, 190 believe a place with where GPS and odometry have the vehicle, 40 count what
 GPS has no part in, 60 take a wrong GPS from PX4, 35 end the command of a camera, 15 offer the stage of keypoints a
 network, 20 keep the points that a page draws, 110 open a map that has them, 10 one of this drive, 180 ask what its
-looks say, 230 put what one picture sees of it on the ground, 40 read a camera's lens, 25 follow a drive beside GPS,
+keyframes say, 230 put what one picture sees of it on the ground, 40 read a camera's lens, 25 follow a drive beside GPS,
 300 move the vehicle by its gyros, and 310 bound the autopilot by what GPS has shown of the wheels,
 and 40 give a PX4 its origin at a place."""
 

@@ -149,12 +149,12 @@ def profiled(turn: Callable[[], object]) -> Files:
 
 
 @pytest.fixture(scope="module")
-def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory: pytest.TempPathFactory) -> Files:
+def visited(make_street: Callable[..., Path], grid: Network, tmp_path_factory: pytest.TempPathFactory) -> Files:
     """The files of the first turn that has it all: frame, place and position go out, and the autopilot's own comes."""
     street = make_street(range(FRAMES), period_ms=PERIOD_NS // 1_000_000)
     images = FeedImages(read_feed(street / "feed"))
     with ExitStack() as parts:
-        drive = Feeding(street, tmp_path_factory.mktemp("drive"), network, parts)
+        drive = Feeding(street, tmp_path_factory.mktemp("drive"), grid, parts)
         for _ in range(15):
             drive.wait()  # until the autopilot's speed is known
         while READS not in profiled(drive.turn).turn:

@@ -209,10 +209,10 @@ def parts() -> Iterator[ExitStack]:
 
 @pytest.fixture
 def open_street(
-    config_of: Callable[[str], Config], make_street: Callable[..., Path], network: Network, parts: ExitStack
+    config_of: Callable[[str], Config], make_street: Callable[..., Path], grid: Network, parts: ExitStack
 ) -> Callable[[str], Street]:
     street = make_street(range(FRAMES), period_ms=PERIOD_NS // 1_000_000)
-    return lambda sections: Street(config_of(sections), street, network, parts)
+    return lambda sections: Street(config_of(sections), street, grid, parts)
 
 
 OpenStreet = Callable[[str], Street]

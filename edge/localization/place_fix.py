@@ -1,4 +1,4 @@
-"""From a match to a position of the vehicle on the ground; nowhere else are positions of matches made. Pure.
+"""From a match to a position of the vehicle on the ground. Pure.
 
 A sequence match is most accurate at its midpoint: a small error of its slope, times half its length, is an error of its
 end. So the filter uses the midpoint, and moves it on to the newest frame by the autopilot's velocity. On simulated

@@ -97,7 +97,7 @@ class TrialDrive:
             rig=RIG,
             telemetry=TelemetryConfig(connection=connection, emit="auto", journal=str(self.journal.resolve())),
             plugins={
-                "mapping": MappingConfig(str(map_path), camera=rear),
+                "mapping": MappingConfig(str(map_path), camera=rear, keypoints=self.draft.keypoints),
                 "page": PageConfig(port=0),
             },
         )

@@ -157,8 +157,8 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Pr
 
 
 @pytest.fixture
-def make_bench(network: MemoizingNetwork) -> Iterator[Callable[..., DaemonRig]]:
+def make_bench(grid: MemoizingNetwork) -> Iterator[Callable[..., DaemonRig]]:
     with ExitStack() as parts:
-        yield lambda config, network=network, speed_mps=10.0, frames=ScriptedFrames: DaemonRig(
+        yield lambda config, network=grid, speed_mps=10.0, frames=ScriptedFrames: DaemonRig(
             config, parts, network, speed_mps, frames
         )

@@ -40,7 +40,7 @@ def test_a_day(
     street: Path,
     write_config: Callable[..., Path],
     make_bench: Callable[..., Any],
-    network: Network,
+    grid: Network,
     proc: Any,
     tmp_path: Path,
     figures: Callable[[str], None],
@@ -49,7 +49,7 @@ def test_a_day(
     drive = [feed.read(row) for row in range(ROWS)]
     there_and_back = [*drive, *drive[-2:0:-1]]
     config = write_config(telemetry={"emit": "external_position"}, acceptance={"hold_off_s": 1.0})
-    bench = make_bench(config, network=network)
+    bench = make_bench(config, network=grid)
     began_s, messages = time.monotonic(), 0
     blocks, resident, descriptors = [], [], []
     for lap in range(laps):

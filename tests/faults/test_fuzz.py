@@ -156,15 +156,15 @@ def test_model_file(fuzz: Fuzz, tmp_path: Path) -> None:
     fuzz(check, data)
 
 
-def test_frames(fuzz: Fuzz, street: Path, network: Network) -> None:
+def test_frames(fuzz: Fuzz, street: Path, grid: Network) -> None:
     class Flat:
         """A network that costs nothing: a descriptor of the mean colors."""
 
-        info, size, path = network.info, network.size, network.path
+        info, size, path = grid.info, grid.size, grid.path
 
         def describe(self, images: np.ndarray) -> np.ndarray:
             means = images.reshape(len(images), -1).mean(axis=1, keepdims=True, dtype=np.float32)
-            descriptors: np.ndarray = np.maximum(np.sin(means + np.arange(4096, dtype=np.float32)), 0)
+            descriptors: np.ndarray = np.maximum(np.sin(means + np.arange(self.info.dimensions, dtype=np.float32)), 0)
             return descriptors
 
     config = msgspec.convert({"sequence": {"length": 3}}, Config)

@@ -224,10 +224,10 @@ def test_a_signature_is_a_small_plain_file(
 
 
 def test_another_model_is_refused_by_its_checksum(
-    write_config: Callable[..., Path], network: Network, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    write_config: Callable[..., Path], grid: Network, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The same network to the last weight, with one remark more: another file, and so another model."""
-    shipped = network.path
+    shipped = grid.path
     for file in shipped.parent.glob("*.onnx"):
         shutil.copy(file, tmp_path)
     config = write_config(descriptor={"model": shipped.name})
@@ -235,7 +235,7 @@ def test_another_model_is_refused_by_its_checksum(
     model.doc_string = "a remark"
     write(model, tmp_path / shipped.name)
     why = refused(config, capsys)
-    assert f"made with model {network.info.name} ({network.info.sha256[:12]}" in why
+    assert f"made with model {grid.info.name} ({grid.info.sha256[:12]}" in why
     assert "but the model here is" in why
 
 

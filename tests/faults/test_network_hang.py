@@ -36,7 +36,7 @@ class HangingNetwork:
 def test_a_network_that_hangs(
     calm_feed: Path,
     write_config: Callable[..., Path],
-    network: Network,
+    grid: Network,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -44,7 +44,7 @@ def test_a_network_that_hangs(
     manager.bind(str(tmp_path / "notify"))
     manager.settimeout(PATIENCE_S)
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-    hanging, stop = HangingNetwork(network), threading.Event()
+    hanging, stop = HangingNetwork(grid), threading.Event()
 
     def turn_until_stopped() -> None:
         with ExitStack() as parts:

@@ -319,9 +319,9 @@ def test_a_frame_that_takes_too_long(
     make_bench: Callable[..., Any],
     write_config: Callable[..., Path],
     make_witness: Callable[[Any], Witness],
-    network: Network,
+    grid: Network,
 ) -> None:
-    slow = LateNetwork(network)
+    slow = LateNetwork(grid)
     bench = make_bench(write_config(), network=slow)
     witness = make_witness(bench)
 

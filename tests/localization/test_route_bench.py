@@ -174,7 +174,7 @@ def test_a_recording_that_nobody_aligned_is_never_more_certain_than_it_may_be_of
     begins_m: float, gps: bool, has_odometer: bool, tmp_path: Path
 ) -> None:
     """It confirms itself over hundreds of meters; with the sigma of a known one positions are 7 of them off."""
-    results = [Bench(unaligned(begins_m, 30.0, gps, has_odometer), seed, tmp_path).run() for seed in range(3)]
+    results = [Bench(unaligned(begins_m, 30.0, gps, has_odometer), seed, tmp_path).run() for seed in range(2)]
     sigmas = [sigma for result in results for sigma in result.sigmas]
     bounded = [one for result in results for one in result.bounded]
     assert sigmas and max(sigmas) <= 4.0
@@ -223,10 +223,9 @@ def test_positions_beside_a_false_stretch_are_as_good_as_they_say_and_its_list_g
     assert [answer for _, _, answer in replay(one.config, one.events)] == answers
 
 
-@pytest.mark.parametrize("name", ["the whole road", "it steers itself"])
-def test_positions_of_a_stream_are_as_good_as_they_say(name: str, tmp_path: Path) -> None:
-    """As PX4 follows them."""
-    check_right([driven(RIGHT[name], seed, tmp_path, is_stream=True).result for seed in range(2)])
+def test_positions_of_a_stream_are_as_good_as_they_say(tmp_path: Path) -> None:
+    """As a PX4 follows them that steers by them."""
+    check_right([driven(RIGHT["it steers itself"], seed, tmp_path, is_stream=True).result for seed in range(2)])
 
 
 def offs_m(course: Course, folder: Path) -> NDArray[np.float64]:
@@ -241,8 +240,8 @@ def alone_m(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize(
     ("others", "pose_segments"),
-    [((False,), (1,)), ((True,), (1,)), ((True,), (0, 1)), ((False, True, True), (0, 1, 2, 3))],
-    ids=["of the other drive", "of one the other way", "of both", "of four"],
+    [((False,), (1,)), ((True,), (1,)), ((False, True, True), (0, 1, 2, 3))],
+    ids=["of the other drive", "of one the other way", "of four"],
 )
 def test_poses_on_any_drive_of_a_road_are_as_good_as_on_the_only_one(
     others: tuple[bool, ...], pose_segments: tuple[int, ...], alone_m: NDArray[np.float64], tmp_path: Path

@@ -37,13 +37,13 @@ def config(folder: Path, minutes: float = 30.0, journal: str = "events.jsonl") -
 
 
 def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
-    street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path
+    street: tuple[Path, ReferenceMap], grid: Network, tmp_path: Path
 ) -> None:
     feed, places = read_feed(street[0]), street[1]
     images = FeedImages(feed)
 
     def start() -> tuple[PlaceRecognizer, WarmStart]:
-        recognizer = open_recognizer(config(tmp_path), network=network, map_set=MapSet.of(places))
+        recognizer = open_recognizer(config(tmp_path), network=grid, map_set=MapSet.of(places))
         return recognizer, WarmStart(config(tmp_path), recognizer)
 
     first, memory = start()
@@ -70,11 +70,11 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
 
 @pytest.mark.parametrize("changes", [{"minutes": 0.0}, {"journal": ""}], ids=["not asked for", "no journal"])
 def test_nothing_is_kept_where_it_is_not_asked_for(
-    street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path, changes: dict[str, object]
+    street: tuple[Path, ReferenceMap], grid: Network, tmp_path: Path, changes: dict[str, object]
 ) -> None:
     feed, places = read_feed(street[0]), street[1]
     wanted = config(tmp_path, **changes)  # type: ignore[arg-type]
-    recognizer = open_recognizer(wanted, network=network, map_set=MapSet.of(places))
+    recognizer = open_recognizer(wanted, network=grid, map_set=MapSet.of(places))
     memory = WarmStart(wanted, recognizer)
     images = FeedImages(feed)
     for row in range(25):
@@ -84,11 +84,9 @@ def test_nothing_is_kept_where_it_is_not_asked_for(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_first_minute_is_not_worth_a_write(
-    street: tuple[Path, ReferenceMap], network: Network, tmp_path: Path
-) -> None:
+def test_a_first_minute_is_not_worth_a_write(street: tuple[Path, ReferenceMap], grid: Network, tmp_path: Path) -> None:
     feed, places = read_feed(street[0]), street[1]
-    recognizer = open_recognizer(config(tmp_path), network=network, map_set=MapSet.of(places))
+    recognizer = open_recognizer(config(tmp_path), network=grid, map_set=MapSet.of(places))
     memory = WarmStart(config(tmp_path), recognizer)
     images = FeedImages(feed)
     for row in range(25):

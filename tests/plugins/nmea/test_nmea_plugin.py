@@ -55,7 +55,7 @@ class Plotter:
 
 
 def test_the_position_follows_the_vehicle_holds_while_it_stands_and_ends(
-    make_street: Callable[..., Path], network: Network, tmp_path: Path
+    make_street: Callable[..., Path], grid: Network, tmp_path: Path
 ) -> None:
     """Due north at 10 m/s with a place every 2 m; then it stands for longer than `standing_s`."""
     street, port = make_street(range(FRAMES), period_ms=200), free_port(socket.SOCK_STREAM)
@@ -75,7 +75,7 @@ def test_the_position_follows_the_vehicle_holds_while_it_stands_and_ends(
     }
     config.write_text(tomli_w.dumps(sections))
     with ExitStack() as parts:
-        bench = Stopping(config, parts, network, MPS, ScriptedFrames)
+        bench = Stopping(config, parts, grid, MPS, ScriptedFrames)
         plotter = Plotter(port)
         parts.callback(plotter.close)
         moving, standing = [], []
@@ -97,7 +97,7 @@ def test_the_position_follows_the_vehicle_holds_while_it_stands_and_ends(
 
 
 def test_a_port_that_is_in_use_is_tried_again_and_costs_nothing(
-    make_street: Callable[..., Path], network: Network, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    make_street: Callable[..., Path], grid: Network, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO", "edge_plugins.nmea")
     street, config = make_street(range(FRAMES), period_ms=200), tmp_path / "lookback.toml"
@@ -111,7 +111,7 @@ def test_a_port_that_is_in_use_is_tried_again_and_costs_nothing(
             "nmea": {"port": port},
         }
         config.write_text(tomli_w.dumps(sections))
-        bench = DaemonRig(config, parts, network, MPS, ScriptedFrames)
+        bench = DaemonRig(config, parts, grid, MPS, ScriptedFrames)
         assert f"NMEA: [nmea] 127.0.0.1 port {port}: Address already in use; trying again" in caplog.text
         another.close()
         for _ in range(20):

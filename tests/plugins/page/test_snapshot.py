@@ -42,9 +42,9 @@ def street(make_street: Callable[..., Path]) -> ReferenceMap:
 
 
 @pytest.fixture
-def recognizer(street: ReferenceMap, network: Network) -> PlaceRecognizer:
+def recognizer(street: ReferenceMap, grid: Network) -> PlaceRecognizer:
     config = Config(sampling=SamplingConfig(by="frames"), sequence=SequenceConfig(length=LENGTH))
-    return open_recognizer(config, network=network, map_set=MapSet.of(street))
+    return open_recognizer(config, network=grid, map_set=MapSet.of(street))
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from edge_plugins.recording.command import record
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
+from tests.common import PATIENCE_S
 from tests.files_written import full_disk
 
 COUNT = 40
@@ -75,25 +76,47 @@ def drive_north() -> Iterator[tuple[str, float]]:
     link.close()
 
 
+class StopsWhere(threading.Event):
+    """Stops a recording once something is so."""
+
+    def __init__(self, is_so: Callable[[], bool]) -> None:
+        super().__init__()
+        self._is_so = is_so
+
+    def is_set(self) -> bool:
+        return self._is_so()
+
+
+def placed_rows(folder: Path) -> list[FeedRow]:
+    """Those of a recording so far that have distance and position."""
+    if not (folder / "frames").exists() or not any((folder / "frames").iterdir()):
+        return []
+    return [row for row in read_feed(folder).rows if row.distance_m is not None and row.lat_deg is not None]
+
+
 def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
-    config: Config, tmp_path: Path, drive_north: tuple[str, float], caplog: pytest.LogCaptureFixture
+    config: Config,
+    tmp_path: Path,
+    drive_north: tuple[str, float],
+    play_on: Callable[..., Path],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """What a daemon has kept beside its journal is not touched: a damaged file is not even read."""
     device, speed_mps = drive_north
     (kept := tmp_path / "events.wheels").write_text("damaged")
     config = replace(
         config,
-        camera=replace(config.camera, device=str(write_feed(tmp_path / "longer", 260))),
-        sampling=SamplingConfig(by="distance", spacing_m=1.0, interval_s=0.2),
+        camera=replace(config.camera, device=str(play_on(Path(config.camera.device), tmp_path / "longer", PERIOD_NS))),
+        sampling=SamplingConfig(by="distance", spacing_m=1.0, interval_s=0.05),
         telemetry=TelemetryConfig(connection=f"serial:{device}:921600", journal=str(tmp_path / "events.jsonl")),
     )
-    done = record(config, tmp_path / "out", threading.Event())
+    done = record(config, tmp_path / "out", StopsWhere(lambda: len(placed_rows(tmp_path / "out")) >= 6))
     assert kept.name not in caplog.text and sorted(tmp_path.glob("events.*")) == [kept]
-    rows = [row for row in read_feed(tmp_path / "out").rows if row.distance_m is not None and row.lat_deg is not None]
-    assert done.with_position >= len(rows) >= 3  # the link is up after two heartbeats, a second apart
+    rows = placed_rows(tmp_path / "out")
+    assert done.with_position >= len(rows) >= 6
     stamps_s, meters = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
-    assert np.diff(meters).min() == pytest.approx(1.0, abs=0.35)  # in tenths; a busy machine uses fewer frames
-    assert np.diff(meters) / np.diff(stamps_s) == pytest.approx(speed_mps, rel=0.2)
+    assert np.median(np.diff(meters)) > 0.8  # by time each would be 0.5 m on; a busy machine uses fewer frames
+    assert np.ptp(meters) / np.ptp(stamps_s) == pytest.approx(speed_mps, rel=0.2)
     for row in rows:
         assert row.speed_mps == pytest.approx(speed_mps, abs=0.1)
         assert row.heading_deg == pytest.approx(0.0, abs=0.1)
@@ -161,9 +184,13 @@ def test_a_stream_whose_age_is_not_known_is_not_recorded_with_positions(
     )
     stops = StopsAt(UNDATED)
     logging.getLogger("edge_plugins.recording.command").addHandler(stops)
-    done = record(config, tmp_path / "out", stops.stop, duration_s=60.0)
-    logging.getLogger("edge_plugins.recording.command").removeHandler(stops)
-    assert (done.why, done.with_position) == ("stopped by a signal", 0)
+    try:
+        done = record(config, tmp_path / "out", stops.stop, duration_s=PATIENCE_S)
+        assert (done.why, done.with_position) == ("stopped by a signal", 0)
+    except CameraLost as nothing:  # a busy machine hears the autopilot before the first picture
+        assert str(nothing).endswith(f"nothing recorded (stopped by a signal): {UNDATED}")
+    finally:
+        logging.getLogger("edge_plugins.recording.command").removeHandler(stops)
 
 
 def test_a_feed_that_is_there_already_is_not_touched(config: Config, tmp_path: Path) -> None:

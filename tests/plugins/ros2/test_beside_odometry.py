@@ -31,7 +31,7 @@ FRAMES, MPS = 36, 10.0
 
 
 def test_a_position_comes_by_odometry_alone(
-    make_street: Callable[..., Path], network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_street: Callable[..., Path], grid: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Due north at 10 m/s: places every 2 m, and odometry ten times a second in a frame that is east and north."""
     street, clock, robot = make_street(range(FRAMES), period_ms=200), RosClock(), Robot(monkeypatch)
@@ -53,7 +53,7 @@ def test_a_position_comes_by_odometry_alone(
     fixes: list[tuple[Any, float]] = []  # each with how far the vehicle had driven
     with ExitStack() as parts:
         frames = ScriptedFrames(clock)
-        daemon = Daemon(OpenedParts(config, parts, clock, frames=frames, network=network))
+        daemon = Daemon(OpenedParts(config, parts, clock, frames=frames, network=grid))
         for turn in range(2 * FRAMES):
             clock.now_ns += 100_000_000
             robot.send_odometry(clock.unix_ns(), MPS, yaw_rad=math.pi / 2)
