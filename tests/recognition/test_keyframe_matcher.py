@@ -22,6 +22,7 @@ from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import MOST, KeypointNetwork
 from edge.recognition.keyframe_matcher import KeyframeMatcher
+from edge.recognition.place_verification import PlaceVerification
 from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.keypoint_file import KEYPOINT
@@ -311,6 +312,20 @@ def test_a_drive_whose_views_are_alike_is_verified_beside_one_whose_views_are_op
         matcher = KeyframeMatcher(map_set, Drives(map_set, 2.0), CONFIG)
         matcher.follow(behind, 0.0, 0.0, 5.0)
         assert matcher.is_due(10.0) == is_due
+
+
+def test_a_pose_by_search_is_no_worse_than_one_where_the_vehicle_is_reckoned(maps: Path) -> None:
+    """From the pose by one keyframe alone, the local map's had 23 points where 36 agree, 4.8 m off."""
+    map_set, film = MapSet.of(open_map(maps / "street", every_file=True)), Film("home_night", 90)
+    found = []
+    for places in (list(range(0, len(map_set.places), 4)), None):
+        verification = PlaceVerification(CONFIG)
+        verification.use_maps(map_set, Drives(map_set, 2.0))
+        image = film.images[0]
+        match = verification.verify(image, places) if places else verification.follow(image, [found[0].place_index])
+        assert match is not None
+        found.append(match)
+    assert found[0].points == found[1].points >= 30
 
 
 def test_the_next_pose_is_sought_after_a_meter(maps: Path, grid: Network) -> None:
