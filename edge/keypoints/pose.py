@@ -214,7 +214,7 @@ def _alone(found: Array, information: Array, known: Intrinsics, worse: float, sp
     own = both - known.information
     own = (own + own.T) / 2 + np.eye(2) * 1e-6
     values = np.linalg.solve(own, both @ found - known.information @ known.values)
-    return Intrinsics(np.asarray(values), np.linalg.inv(np.linalg.inv(own / worse) + spread))
+    return Intrinsics(np.asarray(values), np.asarray(np.linalg.inv(np.linalg.inv(own / worse) + spread)))
 
 
 class PointMatches(NamedTuple):

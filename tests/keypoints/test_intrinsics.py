@@ -126,7 +126,7 @@ def test_bent_directions_move_as_their_derivatives_say() -> None:
 
 def test_first_pictures_of_which_half_the_matches_are_wrong_are_as_wide_as_they_are_off() -> None:
     """Any focal length explains them nearly as well: by least squares from one start, rms over sigma was 1.8."""
-    off = []
+    off, evidence = [], UNSEEN
     for number in range(100):
         rng = np.random.default_rng(number)
         evidence = evidence if number % 10 else UNSEEN

@@ -27,7 +27,7 @@ from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.keypoint_file import KEYPOINT
 from edge.reference_map.store import KEYPOINTS
-from edge.sequence import DeadReckoningPosition, MotionPrior, PlaceMatch
+from edge.sequence import DeadReckoningPosition, KeyframeMatch, MotionPrior, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
@@ -298,7 +298,7 @@ def test_a_drive_whose_views_are_alike_is_verified_beside_one_whose_views_are_op
 def test_a_pose_by_search_is_no_worse_than_one_where_the_vehicle_is_reckoned(maps: Path) -> None:
     """From the pose by one keyframe alone, the local map's had 23 points where 36 agree, 4.8 m off."""
     map_set, film = MapSet.of(open_map(maps / "street", every_file=True)), Film("home_night", 90)
-    found = []
+    found: list[KeyframeMatch] = []
     for places in (list(range(0, len(map_set.places), 4)), None):
         verification = PlaceVerification(CONFIG)
         verification.use_maps(map_set, Drives(map_set, 2.0))
