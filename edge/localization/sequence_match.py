@@ -31,8 +31,6 @@ OPPOSED_M = 7.5
 that nothing was tuned on, in five lights, it is 5.9 to 9.3 m, alike over 45 m, whatever the sharpness."""
 STAYS = 0.35
 """Standard deviation of what stays of a sequence match's error for a drive, as a share of what changes."""
-
-
 WANDERS = 0.5
 """Share of the variance of a map's positions that wanders. The rest stays for its drive: of the antenna's place, and of
 time."""

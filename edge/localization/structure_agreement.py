@@ -9,8 +9,6 @@ from edge.localization.filter import GATE, Filter
 from edge.localization.sequence_match import StructureMeasurement
 from edge.localization.state import VELOCITY, Matrix, Vector
 
-AGREEING, HANDED_ON = 2, 3
-"""How many in a row agree before one corrects the filter, and before one is handed on."""
 INDEPENDENT_M = 38.0
 """Driven between two of structure whose errors are independent: they correlate by about 0.25 at 20 m, and 0 at 40 m."""
 DRIFT, FAR_M = 0.015, 60.0
@@ -30,10 +28,7 @@ class StructureAgreement:
         self._handed_m: Vector | None = None
 
     def agrees(self, seen: StructureMeasurement, moved_m: Vector, state: Filter) -> bool:
-        """Whether a further one agrees with enough before it. moved_m: (4,) by the autopilot's velocity, at this frame.
-
-        state: knows how the vehicle truly moved between two.
-        """
+        """Whether a further one agrees with the one before. moved_m: (4,) by the autopilot's velocity at this frame."""
         there_m, before = moved_m - seen.midpoint.since_m, self._newest
         self._newest, self._count = (seen, there_m), self._count + 1
         is_alike = False
@@ -44,7 +39,7 @@ class StructureAgreement:
             spread = seen.covariance + before[0].covariance + (DRIFT * driven_m) ** 2 * np.eye(2)
             is_alike = driven_m <= FAR_M and float(off_m @ np.linalg.solve(spread, off_m)) <= GATE[2]
         self._count = self._count if is_alike else 1
-        return self._count >= AGREEING
+        return is_alike
 
     def correct(self, bank: Filter) -> bool:
         """Correct by the newest; whether the right filter of the bank used it."""
@@ -55,9 +50,9 @@ class StructureAgreement:
     def handed_on(self, state: Filter) -> tuple[Vector, Matrix, float] | None:
         """Where the newest has the vehicle now (2,), its covariance (2, 2) without the map's error, and its heading.
 
-        None where fewer than two before agree with it, or the last one that was handed on is not far enough away.
+        None where fewer than two before agree with it, or the last one is not far enough away.
         """
-        if self._newest is None or self._count < HANDED_ON:
+        if self._newest is None or self._count <= 2:
             return None
         seen, there_m = self._newest
         if self._handed_m is not None and float(np.hypot(*(there_m - self._handed_m)[:2])) < INDEPENDENT_M:

@@ -79,8 +79,6 @@ RIGHT_AT_HALF = 11.5
 """Odds that a place is right where its agreement is a half. Logistic regressions, with as many frames off the map as on
 it, gave 17.1 on four simulated roads and 13.5 on two others, 11.7 where the power of the odds was free: the most
 cautious one. docs/evaluation.md has how far it holds on two more roads and on real streets."""
-
-
 _FLOATS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m", "ahead_m", "unique")
 _KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "row_share": "f8", "was_believed": "?", "road": "f4"}
 _VOTE = np.dtype([*((name, "f8") for name in _FLOATS), *_KINDS.items()], align=True)
@@ -250,7 +248,6 @@ class PlaceConsensus:
         places: float = 1.0,
         prior: Prior | None = None,
         away_of: AwayOf | None = None,
-        *,
         structure: PlaceVote | None = None,
     ) -> PlaceBelief | None:
         """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
