@@ -61,7 +61,8 @@ def points_of_drive(
     )
     east_m, north_m = reckoned(route_m, heading)
     heading = heading + np.pi * faces_back
-    is_shown = is_course and len(route_m) > 1 and bool(np.nanmedian(np.diff(route_m)) > SHOWN_FROM_M)
+    steps_m = np.diff(route_m[np.isfinite(route_m)])
+    is_shown = is_course and bool(steps_m.size) and bool(np.median(steps_m) > SHOWN_FROM_M)
     for row in rows:
         near = _near(route_m, heading, row)
         found = np.full((len(near), len(kept(row)), 2), np.nan)
@@ -94,8 +95,7 @@ def _shown(
         if len(both) < FEWEST_SHOWN:
             continue
         found, inliers = cv2.findEssentialMat(one, other, np.eye(3), cv2.RANSAC, CERTAINTY, limit)
-        agree = np.ravel(inliers) > 0
-        if found is None or found.shape != (3, 3) or agree.sum() < FEWEST_SHOWN:
+        if found is None or found.shape != (3, 3) or (agree := np.ravel(inliers) > 0).sum() < FEWEST_SHOWN:
             continue
         *turns, moved = cv2.decomposeEssentialMat(found)
         turn = max(turns, key=np.trace)  # the other one is upside down
