@@ -56,8 +56,8 @@ BESIDE_M, DRIVES = 8.0, 3
 NEAR_SIGMAS = 2.0
 """Of a position by GPS, by which a lane may be further from it than BESIDE_M."""
 ELSEWHERE_EVERY = 4
-"""Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere, and
-the first time the next one as well: it may have been carried."""
+"""Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere,
+and the first time the next one as well: it may have been carried."""
 
 
 Image = NDArray[np.uint8]
