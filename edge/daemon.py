@@ -315,6 +315,7 @@ class Daemon:
             driven_m=driven_m,
             no_pose_m=None if driven_m is None or self._newest.posed is None else driven_m - posed_m,
             right_m=right_m,
+            lens=self._recognizer.matcher.lens,
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""
         return self.parts.monitor.update(inputs, parts.camera.health, hang)

@@ -17,7 +17,7 @@ ROOMS = {
     "edge/commands": 250,
     "edge/descriptor": 450,
     "edge/feed": 500,
-    "edge/health": 250,
+    "edge/health": 300,
     "edge/journal": 400,
     "edge/keypoints": 900,
     "edge/localization": 2900,

@@ -77,6 +77,7 @@ class HealthInputs:
     long the last frame took. gps: what is wrong with it by the places, "" if nothing is. withheld: why no position is
     sent, "" while one is. driven_m: by the odometer, None if unknown. off_m: of that since a place was recognized.
     no_pose_m: of that since the newest keypoint pose, None without one; right_m: of its drive of the map it was then.
+    lens: what is wrong with the camera, which still sees something.
     """
 
     recognizer: str = "warming up"
@@ -95,6 +96,7 @@ class HealthInputs:
     off_m: float | None = None
     no_pose_m: float | None = None
     right_m: float = 0.0
+    lens: str = ""
 
     @property
     def blind(self) -> str:
@@ -121,7 +123,7 @@ def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
     troubles = [one for one in (signs.gps, _link_trouble(signs), journal, slow) if one]
     if signs.blind:
         return Health("degraded", "; ".join([f"not recognized: {signs.blind}", *troubles]), able)
-    why = "; ".join(filter(None, (_why_no_position(signs, able), _hole(signs))))
+    why = "; ".join(filter(None, (_why_no_position(signs, able), _hole(signs), signs.lens)))
     if troubles:
         return Health("degraded", "; ".join([*troubles, str(Health(able, why))]), able)
     return Health(able, why, able)

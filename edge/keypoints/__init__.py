@@ -9,7 +9,7 @@ A camera that faces the same way as the map's finds the place in one picture. Wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ class Keypoints:
 
     xy: (K, 2) float32, pixels of the picture from the center of its upper left one, x to the right and y down.
     scores: (K,) float32, over 0 to 1. descriptors: (K, 64) int8, 127 times a vector of length 1.
-    size: height and width of the picture in pixels. sharpness: see `network.sharpness_of`.
+    size: height and width of the picture in pixels. sharpness: see `lens.sharpness_of`.
     """
 
     xy: NDArray[np.float32]
@@ -37,3 +37,7 @@ class Keypoints:
 
     def __len__(self) -> int:
         return len(self.xy)
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> Keypoints:
+        """Some of them."""
+        return replace(self, xy=self.xy[chosen], scores=self.scores[chosen], descriptors=self.descriptors[chosen])

@@ -23,6 +23,7 @@ from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import CameraModel, Keypoints, MapPoints
 from edge.keypoints.drive_points import cameras_beside
 from edge.keypoints.intrinsics import UNSEEN, WRONG, CameraDifference, CameraEvidence, by_any_camera
+from edge.keypoints.lens import LensCheck
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
 from edge.keypoints.pose import STARTS, Keyframe, PointMatches, RelativePose, match_keyframes
@@ -61,6 +62,8 @@ class PlaceVerification:
     """Pictures of one camera against the places of some maps."""
 
     def __init__(self, config: Config) -> None:
+        self.lens = LensCheck()
+        """What the pictures show of the camera."""
         self._view, self._only = config.camera.view, config.sequence.directions
         camera = config.camera
         self._camera = None if isinstance(camera.fov_deg, UnsetType) else (camera.fov_deg, camera.alone)
@@ -149,7 +152,7 @@ class PlaceVerification:
 
     def _keypoints_of(self, image: NDArray[np.uint8]) -> Keypoints:
         self.alike, self._newest = (), None
-        return self.network.extract(image, MOST_OF_FRAME)
+        return self.lens.without_fixed(self.network.extract(image, MOST_OF_FRAME))
 
     def _seen(self, query: Keypoints, middles: Iterable[int], starts: NDArray[np.float64]) -> KeyframeMatch | None:
         """The match by the first local map with enough support, or that with most; None where none has any."""

@@ -162,6 +162,8 @@ class SequenceMatcher:
 
         image: (H, W, 3) uint8 BGR, where what its keypoints say counts as well.
         """
+        if image is not None and self._keyframes is not None:
+            self._keyframes.verification.lens.add(image)
         odometer_m = travel.distance_m if self._drives.is_metric else None
         if travel.distance_m is not None:  # also of a map that knows no meters, as before its first place
             self._unmeasured = None
@@ -225,6 +227,11 @@ class SequenceMatcher:
             driven = self._consensus.driven_m, self._consensus.uncertain_m
             self._keyframes.verify(image, nearest, travel, *driven)
             self._stopwatch("keypoints")
+
+    @property
+    def lens(self) -> str:
+        """What is wrong with the camera by its pictures, "" if nothing is known to be; of a map with keypoints."""
+        return "" if self._keyframes is None else self._keyframes.verification.lens.word
 
     @property
     def was_carried(self) -> bool:

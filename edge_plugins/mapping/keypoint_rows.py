@@ -65,17 +65,18 @@ class KeypointRows:
         self._count = 0
         self._mounts: dict[int, Mount | None] = {}  # of places that are not leveled yet; None: nor are distances known
 
-    def add(self, keypoints: Keypoints) -> None:
-        """Of the next place. MapError for a picture of another shape."""
-        height, width = keypoints.size
-        key = self._key = self._key or self._key_of(height, width)
-        if not is_of_shape(key, height, width):
-            raise MapError(
-                f"pictures of {width} x {height} and of {key.width} x {key.height} pixels: a map with keypoints has"
-                " those of one shape; build two maps, or use --no-keypoints"
-            )
-        self._mounts[self._count] = None
-        self._write(record_of(keypoints, key))
+    def add(self, *found: Keypoints) -> None:
+        """Of the next places. MapError for a picture of another shape."""
+        for keypoints in found:
+            height, width = keypoints.size
+            key = self._key = self._key or self._key_of(height, width)
+            if not is_of_shape(key, height, width):
+                raise MapError(
+                    f"pictures of {width} x {height} and of {key.width} x {key.height} pixels: a map with keypoints has"
+                    " those of one shape; build two maps, or use --no-keypoints"
+                )
+            self._mounts[self._count] = None
+            self._write(record_of(keypoints, key))
 
     def add_record(self, record: NDArray[np.void], key: KeypointsKey, mount: Mount | None = None) -> None:
         """Of the next place, as another map of this key has them; mount: by this place, as live mapping has them."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from edge.config import Lens
 from edge.keypoints import Keypoints
 from edge.keypoints.drive_points import points_of_drive
+from edge.keypoints.lens import LensCheck
 from edge.keypoints.mount import Mount, mount_of_drive
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.points import REACH_M
@@ -62,6 +63,7 @@ class LiveKeypoints:
         self._drives: list[tuple[int, Mount]] = []  # with which place each begins, and its camera
         self._rows: list[_Row] = []  # of the present drive, as far as they are needed
         self._placed = 0  # of these, whose distances are known
+        self._lens = LensCheck()
 
     def is_alike(self, key: KeypointsKey | None) -> bool:
         """Whether a map with keypoints of this key, None for one without, can go on."""
@@ -89,8 +91,12 @@ class LiveKeypoints:
         if len(self._pictures) >= MOST_PICTURES:
             self._warn("the computer is too slow for those of all places")
             return None
-        self._pictures.append(self._thread.submit(lambda: self._network.extract(image, made.most)))
+        self._pictures.append(self._thread.submit(self._find, image, made.most))
         return self._pictures[-1]
+
+    def _find(self, image: NDArray[np.uint8], most: int) -> Keypoints:
+        self._lens.add(image)
+        return self._lens.without_fixed(self._network.extract(image, most))
 
     def begin_drive(self, row: int) -> None:
         """The places from a row on are of another drive."""

@@ -19,6 +19,7 @@ from edge.config import CameraConfig, Config, load_config
 from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedImages
 from edge.files import AtomicFolder
+from edge.keypoints.lens import DriveKeypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.checksums import FileKey, sha256_of
@@ -123,8 +124,10 @@ def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], key_of: KeyOf)
         places, segments = reference_map.places.copy(), list(header.segments)
         for number, segment in enumerate(segments):
             own, feed = places[segment.start : segment.end], by_name[segment.source]
+            finder = DriveKeypoints(extract)
             for image in _pictures(feed, own["row"]):
-                rows.add(extract(image))
+                rows.add(*finder.add(image))
+            rows.add(*finder.rest())
             moved = with_course(feed)
             if moved.header.heading_is_course and np.isnan(own["heading_deg"]).all():
                 # A map of an earlier version, which had no use for a heading.

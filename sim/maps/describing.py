@@ -31,6 +31,7 @@ from edge.errors import ConfigError, MapError
 from edge.extras import import_extra
 from edge.feed import Feed, FeedOptions, Frame
 from edge.keypoints import Keypoints
+from edge.keypoints.lens import DriveKeypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place, thumbnail
@@ -91,15 +92,17 @@ def add_feed(
     must_have_distance: bool = False,
 ) -> None:
     """Describe a recording here, and add it as a segment."""
-    extract = None if builder.keypoints is None else KeypointNetwork().extract
+    finder = None if builder.keypoints is None else DriveKeypoints(KeypointNetwork().extract)
     feed = with_course(feed)
     builder.begin_segment(feed.header.name, feed.header.view, **_known_of(feed))
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for frame, raw, place in _described(feed, network, regions, sampling, must_have_distance):
             builder.add(raw, place)
-            if builder.keypoints is not None and extract is not None:
-                builder.keypoints.add(extract(frame.image))
+            if builder.keypoints is not None and finder is not None:
+                builder.keypoints.add(*finder.add(frame.image))
             progress.update(frame.index + 1 - progress.n)
+        if builder.keypoints is not None and finder is not None:
+            builder.keypoints.add(*finder.rest())
         progress.update(len(feed.rows) - progress.n)
 
 
@@ -146,14 +149,15 @@ def describe(path: Path, work: Work) -> RecordingDescriptors:
     feed = with_course(preprocessed_feed(open_recording(path, work.options), work.config.camera))
     network = _network(work.config.descriptor)
     regions = RegionsKey.of(work.config.descriptor)
-    extract = KeypointNetwork().extract if work.with_keypoints else None
+    finder = DriveKeypoints(KeypointNetwork().extract) if work.with_keypoints else None
     raw: list[NDArray[np.float16]] = []
     places: list[Place] = []
     keypoints: list[Keypoints] = []
     for frame, one, place in _described(feed, network, regions, work.sampling, work.must_have_distance):
         raw.append(one.astype("<f2"))
         places.append(place)
-        keypoints += [extract(frame.image)] if extract is not None else []
+        keypoints += finder.add(frame.image) if finder is not None else []
+    keypoints += finder.rest() if finder is not None else []
     made = feed.header.name, feed.header.view, _known_of(feed)
     return RecordingDescriptors(*made, np.array(raw), tuple(places), tuple(keypoints), fingerprint(network))
 
