@@ -180,7 +180,7 @@ class MapConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[sequence]: the search of eq. 2 and 3. Config.sequence_frames is the length where the file has none.
 
-    structure: whether a place that is believed in opposite views is made more exact by keypoints, on maps with those.
+    structure: whether in opposite views keypoints vote for the place and make it exact, on maps with those.
     """
 
     length: Annotated[int, Meta(ge=2, le=500)] | UnsetType = UNSET

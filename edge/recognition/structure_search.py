@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.reference_map import MapSet
 from edge.sequence import Direction
-from edge.structure.cells import CELL_M, SIDEWAYS_M, WIDE_M, NormalizedCells, cells_of, scores_of
+from edge.structure.cells import CELL_M, SIDEWAYS_M, WIDE_M, DriveCells, cells_of, scores_of
 
 LONGEST_M, SHORTEST_M = 60.0, 30.0
 """Of the window. By 60 m right places have 3.4 standard deviations of all scores or more (.95), and .999 of others at
@@ -46,7 +46,7 @@ class _Drive(NamedTuple):
     number: int
     direction: Direction
     first_m: float
-    cells: NormalizedCells
+    cells: DriveCells
 
 
 class StructureSearch:
@@ -77,7 +77,7 @@ class StructureSearch:
         self._read += [self._points_of(place) for place in some]
         if len(self._read) == len(places):
             first_m, last_m = np.floor(self._route_m[places[0]]), np.ceil(self._route_m[places[-1]])
-            cells = NormalizedCells.of(cells_of(np.concatenate(self._read), first_m, last_m, WIDE_M + SIDEWAYS_M))
+            cells = DriveCells.of(cells_of(np.concatenate(self._read), first_m, last_m, WIDE_M + SIDEWAYS_M))
             beyond = ((round(LONGEST_M / 2), round(LONGEST_M / 2)), (0, 0), (0, 0))
             padded = cells._replace(cells=np.pad(cells.cells.astype(np.float32), beyond))
             self._drives.append(_Drive(number, direction, float(first_m), padded))

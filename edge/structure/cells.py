@@ -27,7 +27,7 @@ QUIET = 0.3
 """Added to the standard deviation of a cell, in logarithms of counts."""
 
 
-class NormalizedCells(NamedTuple):
+class DriveCells(NamedTuple):
     """Cells (S, L, U) along a drive of the map, less the mean over the deviation (L, U) of all of them."""
 
     cells: Floats
@@ -35,7 +35,7 @@ class NormalizedCells(NamedTuple):
     deviation: Floats
 
     @classmethod
-    def of(cls, cells: Floats) -> NormalizedCells:
+    def of(cls, cells: Floats) -> DriveCells:
         """Of logarithms of counts (S, L, U)."""
         mean, deviation = cells.mean(axis=0), cells.std(axis=0) + QUIET
         return cls((cells - mean) / deviation, mean, deviation)
@@ -60,7 +60,7 @@ def best_fit(points: Floats, stretch: Floats, about_m: float, window_m: float, s
     places = int(np.ceil(2 * search_m / CELL_M)) + 1
     last_m = first_m + window_m + (places - 1) * CELL_M
     window = cells_of(points, -window_m / 2, window_m / 2, WIDE_M)
-    usual = NormalizedCells.of(cells_of(stretch, first_m - USUAL_M, last_m + USUAL_M, WIDE_M + SIDEWAYS_M))
+    usual = DriveCells.of(cells_of(stretch, first_m - USUAL_M, last_m + USUAL_M, WIDE_M + SIDEWAYS_M))
     scores = scores_of(window, usual, int(USUAL_M / CELL_M), places)
     at = np.unravel_index(scores.argmax(), scores.shape)
     row, column = int(at[0]), int(at[1])
@@ -89,7 +89,7 @@ def cells_of(points: Floats, from_m: float, to_m: float, wide_m: float = WIDE_M)
     return np.log1p(counts).reshape(size)
 
 
-def scores_of(window: Floats, stretch: NormalizedCells, skipped: int, places: int, least_energy: float = 0.0) -> Floats:
+def scores_of(window: Floats, stretch: DriveCells, skipped: int, places: int, least_energy: float = 0.0) -> Floats:
     """Cosines (along, left) of a window (S, L, U) at so many places of a stretch, after those that are skipped.
 
     least_energy: that a place counts as having, as a share of the median: of one with less little is known.
