@@ -116,6 +116,7 @@ def test_research_says_where_it_is(python: Path) -> None:
     assert re.search(r"bench +measure this board", done.stdout)
 
 
+@pytest.mark.long  # two whole tries from the wheel; that all is packed is tested above
 @pytest.mark.parametrize(
     ("file", "said"),
     [("Makefile", r"--editable '\.\[([a-z,]+)\]'\n\ttouch"), ("README.md", r"'lookback-nav\[([a-z,]+)\]'")],
