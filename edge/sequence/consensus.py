@@ -248,6 +248,7 @@ class PlaceConsensus:
         places: float = 1.0,
         prior: Prior | None = None,
         away_of: AwayOf | None = None,
+        *,
         structure: PlaceVote | None = None,
     ) -> PlaceBelief | None:
         """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
