@@ -184,8 +184,7 @@ class SequenceMatcher:
         if self._structure is not None and image is not None:
             structure = self._vote(self._structure.add(image, travel.moved_m))
             self._stopwatch("structure")
-        nearby, away_of = prior or (None, None)
-        belief = self._consensus.update(self._vote(self.best), odometer_m, step, nearby, away_of, structure)
+        belief = self._consensus.update(self._vote(self.best), odometer_m, step, *(prior or ()), structure=structure)
         both = belief, self._belief_of_halves(odometer_m, step, prior)
         belief = max(filter(None, both), key=lambda one: one.confidence, default=None)
         if image is not None and self._keyframes is not None and self._keyframes.is_due(self._consensus.driven_m):
