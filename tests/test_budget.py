@@ -55,7 +55,7 @@ ROOMS = {
     "sim/trial": 700,
     "sim/vehicle": 1260,
     "sim/world": 1740,
-    "tests": 36_830,
+    "tests": 36_850,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 2 more, rounded up to 10.
 
