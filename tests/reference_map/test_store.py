@@ -311,7 +311,7 @@ def test_a_header_that_claims_nonsense_is_refused_before_anything_is_read(
 
 
 def test_replacing_needs_the_word_and_a_map(small_map: Path, tmp_path: Path) -> None:
-    with pytest.raises(MapError, match="--replace"):
+    with pytest.raises(MapError, match="already exists"):
         build(small_map, raw_descriptors(5))
     build(small_map, raw_descriptors(5), replace=True)
     assert open_map(small_map).header.places == 5
