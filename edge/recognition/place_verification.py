@@ -56,11 +56,6 @@ known 5 and 6 m beside the lane (road 9671), with gaps of 12 and 22 m, of nine 0
 time. With 600 keypoints of a picture in place of 300 it would be 0.94 and 0.89, in 4 to 8 ms more."""
 WIDE = np.array([(right, ahead, 0.0) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for ahead in (-6.0, 0.0, 6.0)])
 """Starts by a local map, as `STARTS`."""
-TURNED = np.vstack([WIDE, [(right, 0.0, turn) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for turn in (-0.15, 0.15)]])
-"""The same where the vehicle is reckoned. From WIDE, pictures 5 m beside the lane that were turned by 10 degrees (roads
-9681 and 9683, night) ended in a second solution, less turned and 5 to 9 m further to the right: 0.81 and 0.58 of the
-frames were known, turned to the right and to the left, rms over sigma up to 2.2; now 0.91 and 0.77, and 0.9. Anywhere
-else they find what is not there: in a gap of the map two poses of 37 points agreed."""
 
 
 class PlaceVerification:
@@ -153,7 +148,7 @@ class PlaceVerification:
 
         As `verify`; no place elsewhere is tried. middles: at least one, and no further one than it takes.
         """
-        return self._seen(self._keypoints_of(image), middles, TURNED)
+        return self._seen(self._keypoints_of(image), middles, WIDE)
 
     def _keypoints_of(self, image: NDArray[np.uint8]) -> Keypoints:
         self.alike, self._newest = (), None
