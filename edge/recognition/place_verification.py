@@ -55,7 +55,10 @@ AROUND_M = 0.0, -2.0, 2.0, -4.0, 4.0, -6.0, 6.0, -8.0, 8.0
 known 5 and 6 m beside the lane (road 9671), with gaps of 12 and 22 m, of nine 0.94 and 0.85 (4 and 16 m) in the same
 time. With 600 keypoints of a picture in place of 300 it would be 0.94 and 0.89, in 4 to 8 ms more."""
 WIDE = np.array([(right, ahead, 0.0) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for ahead in (-6.0, 0.0, 6.0)])
-"""Starts by a local map, as `STARTS`."""
+"""Starts by a local map, as `STARTS`. From these, pictures 5 m beside the lane whose camera is turned by 10 degrees may
+end in a second solution, 5 to 9 m further to the right (roads 9681 and 9683, night): 0.81 and 0.58 of the frames are
+known, turned to the right and to the left, rms over sigma up to 2.2. With ten more starts, turned by 9 degrees, it was
+0.91 and 0.77, and 0.9, but flown on 974 and 979, 26 of 928 poses were beyond three sigma, instead of 10 of 914."""
 
 
 class PlaceVerification:
