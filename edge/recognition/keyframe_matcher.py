@@ -70,6 +70,11 @@ class ReckonedPlace(NamedTuple):
     at_m: float
     uncertain_m: float
 
+    def at(self, driven_m: float) -> PlaceBelief:
+        """The place of the vehicle once it has driven so far."""
+        along_m = self.place.along_m + sign_of(self.place.direction) * (driven_m - self.at_m)
+        return replace(self.place, along_m=along_m)
+
 
 class JointBelief(NamedTuple):
     """The belief by votes and keyframe matches together.
@@ -209,8 +214,7 @@ class KeyframeMatcher:
         """Whether a vote is for another place than that of the map where the vehicle is reckoned to be."""
         if self._reckoned is None:
             return False
-        belief, at_m, _ = self._reckoned
-        there = replace(belief, along_m=belief.along_m + sign_of(belief.direction) * (driven_m - at_m))
+        there = self._reckoned.at(driven_m)
         one = PlaceBelief(vote.drive, vote.along_m, vote.direction, 0.0, is_believed=False)
         return self._is_mapped(there) and not self._is_one_place(one, there, RECKONED_M)
 
@@ -245,14 +249,12 @@ class KeyframeMatcher:
         """The middles of the local maps to look at; none where the vehicle is not reckoned, or may be elsewhere."""
         if self._reckoned is None or self._in_vain == ELSEWHERE_EVERY or (self._in_vain + 1) % ELSEWHERE_EVERY == 0:
             return []
-        belief, at_m, then_m = self._reckoned
-        sigma_m = abs(uncertain_m - then_m)
+        sigma_m = abs(uncertain_m - self._reckoned.uncertain_m)
         if sigma_m > RECKONED_M:
             self._reckoned = None
             return []
-        along_m = belief.along_m + sign_of(belief.direction) * (driven_m - at_m)
-        windows_m = WINDOWS_M if sigma_m > CENTERED_M else WINDOWS_M[:1]
-        there = (replace(belief, along_m=along_m + window_m) for window_m in windows_m)
+        windows_m, middle = (WINDOWS_M if sigma_m > CENTERED_M else WINDOWS_M[:1]), self._reckoned.at(driven_m)
+        there = (replace(middle, along_m=middle.along_m + window_m) for window_m in windows_m)
         places = [self._drives.nearest(one.drive, one.along_m) for one in there if self._is_mapped(one)]
         return self.verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M), 1)
 
